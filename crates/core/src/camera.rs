@@ -1,0 +1,206 @@
+use glam::{DMat3, DMat4, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Width and height in pixels, both at least 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImageSize {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl ImageSize {
+    /// Number of pixels.
+    pub fn pixels(self) -> usize {
+        self.width * self.height
+    }
+}
+
+/// Pinhole intrinsics in pixels; the principal point follows the + 0.5 pixel-centre convention.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Horizontal focal length.
+    pub fx: f64,
+    /// Vertical focal length.
+    pub fy: f64,
+    /// Principal point, column.
+    pub cx: f64,
+    /// Principal point, row.
+    pub cy: f64,
+}
+
+impl Intrinsics {
+    /// Geometric mean of the two focal lengths.
+    pub fn focal(self) -> f64 {
+        (self.fx * self.fy).sqrt()
+    }
+}
+
+/// Why a camera was refused.
+#[derive(Debug, Error, PartialEq)]
+pub enum CameraError {
+    /// An entry is NaN or infinite.
+    #[error("camera holds a value that is not finite")]
+    NotFinite,
+    /// A focal length is not positive.
+    #[error("focal lengths must be positive, found fx = {fx}, fy = {fy}")]
+    Focal {
+        /// Horizontal focal length.
+        fx: f64,
+        /// Vertical focal length.
+        fy: f64,
+    },
+    /// The 3x3 block is not a rotation.
+    #[error("camera_from_world is not a rigid transform: |R R^T - I| = {error:.2e}, det = {determinant:.3}")]
+    NotRigid {
+        /// Largest entry of `|R R^T - I|`.
+        error: f64,
+        /// Determinant of the 3x3 block.
+        determinant: f64,
+    },
+    /// The image has no pixels.
+    #[error("image size {width} x {height} is empty")]
+    EmptyImage {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+}
+
+/// A point seen by a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Projection {
+    /// Continuous pixel coordinates.
+    pub pixel: DVec2,
+    /// Depth along the camera's z axis (m), positive.
+    pub depth: f64,
+}
+
+/// A calibrated pinhole camera of one frame. Invariant: finite, positive focal lengths, rigid pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    intrinsics: Intrinsics,
+    rotation: DMat3,
+    translation: DVec3,
+    size: ImageSize,
+}
+
+impl Camera {
+    /// Files hold poses as f32 or rounded text; beyond this error the matrix is not a rotation.
+    const RIGID_TOLERANCE: f64 = 1e-3;
+
+    /// `camera_from_world` is a 4x4 rigid transform with OpenCV axes (metres).
+    pub fn new(intrinsics: Intrinsics, camera_from_world: DMat4, size: ImageSize) -> Result<Self, CameraError> {
+        let Intrinsics { fx, fy, cx, cy } = intrinsics;
+        let finite = [fx, fy, cx, cy].iter().all(|v| v.is_finite()) && camera_from_world.is_finite();
+        if !finite {
+            return Err(CameraError::NotFinite);
+        }
+        if !(fx > 0.0 && fy > 0.0) {
+            return Err(CameraError::Focal { fx, fy });
+        }
+        if size.pixels() == 0 {
+            return Err(CameraError::EmptyImage { width: size.width, height: size.height });
+        }
+        let rotation = DMat3::from_mat4(camera_from_world);
+        let gram = rotation * rotation.transpose() - DMat3::IDENTITY;
+        let error = gram.to_cols_array().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let determinant = rotation.determinant();
+        if !(error <= Self::RIGID_TOLERANCE && determinant > 0.0) {
+            return Err(CameraError::NotRigid { error, determinant });
+        }
+        Ok(Self { intrinsics, rotation, translation: camera_from_world.w_axis.truncate(), size })
+    }
+
+    /// Intrinsics in pixels.
+    pub fn intrinsics(&self) -> Intrinsics {
+        self.intrinsics
+    }
+
+    /// Rotation of `camera_from_world`.
+    pub fn rotation(&self) -> DMat3 {
+        self.rotation
+    }
+
+    /// Translation of `camera_from_world` (m).
+    pub fn translation(&self) -> DVec3 {
+        self.translation
+    }
+
+    /// `camera_from_world` as a 4x4 matrix.
+    pub fn camera_from_world(&self) -> DMat4 {
+        let mut m = DMat4::from_mat3(self.rotation);
+        m.w_axis = self.translation.extend(1.0);
+        m
+    }
+
+    /// Image size in pixels.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Camera centre in world coordinates (m).
+    pub fn center(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// Projects a world point; `None` when it is not in front of the camera.
+    pub fn project(&self, point_in_world: DVec3) -> Option<Projection> {
+        let p = self.rotation * point_in_world + self.translation;
+        if !(p.z > 0.0) {
+            return None;
+        }
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        Some(Projection { pixel: DVec2::new(fx * p.x / p.z + cx, fy * p.y / p.z + cy), depth: p.z })
+    }
+
+    /// Column and row of the pixel a world point falls in; `None` behind the camera or outside the image.
+    pub fn pixel_of(&self, point_in_world: DVec3) -> Option<(usize, usize)> {
+        let Projection { pixel, .. } = self.project(point_in_world)?;
+        let inside = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < self.size.width as f64
+            && pixel.y < self.size.height as f64;
+        inside.then_some((pixel.x as usize, pixel.y as usize))
+    }
+
+    /// Unit viewing ray through a pixel, in world coordinates.
+    pub fn ray(&self, pixel: DVec2) -> DVec3 {
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        let in_camera = DVec3::new((pixel.x - cx) / fx, (pixel.y - cy) / fy, 1.0);
+        (self.rotation.transpose() * in_camera).normalize()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(camera_from_world: DMat4) -> Result<Camera, CameraError> {
+        let intrinsics = Intrinsics { fx: 100.0, fy: 120.0, cx: 33.0, cy: 20.5 };
+        Camera::new(intrinsics, camera_from_world, ImageSize { width: 64, height: 48 })
+    }
+
+    #[test]
+    fn the_ray_of_a_projection_points_back_at_the_point() {
+        let pose = DMat4::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.1);
+        let camera = camera(DMat4::from_translation(DVec3::new(0.1, 0.2, 0.3)) * pose).unwrap();
+        let point = camera.center() + camera.rotation().transpose() * DVec3::new(0.4, -0.3, 2.0);
+        let projection = camera.project(point).unwrap();
+        let back = camera.center() + camera.ray(projection.pixel) * (point - camera.center()).length();
+        assert!((back - point).length() < 1e-12);
+        assert!((projection.depth - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn refuses_what_is_not_a_camera() {
+        let mut mirrored = DMat4::IDENTITY;
+        mirrored.x_axis.x = -1.0;
+        assert!(matches!(camera(mirrored), Err(CameraError::NotRigid { .. })));
+        assert_eq!(camera(DMat4::from_translation(DVec3::NAN)), Err(CameraError::NotFinite));
+        assert!(camera(DMat4::IDENTITY).unwrap().project(DVec3::new(0.0, 0.0, -1.0)).is_none());
+    }
+}

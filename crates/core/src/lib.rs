@@ -1,0 +1,21 @@
+//! Value types that cross a stage boundary, each with its invariant.
+//!
+//! Conventions (docs/CONVENTIONS.md): world in metres, right-handed; cameras with OpenCV axes (x right,
+//! y down, z forward); continuous pixel coordinates, the centre of (column u, row v) at (u + 0.5, v + 0.5);
+//! `f32` in images and splats, `f64` in solvers. A failed item is a status, never NaN.
+
+mod atomic_file;
+mod camera;
+mod estimate;
+mod gaussians;
+mod image;
+mod mask;
+mod motion;
+
+pub use atomic_file::write_atomically;
+pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
+pub use estimate::{EstimateStatus, Estimates, Observations};
+pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
+pub use image::{ImageRgb8, PlanarImage};
+pub use mask::Mask;
+pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};

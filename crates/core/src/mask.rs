@@ -1,0 +1,89 @@
+use crate::ImageSize;
+
+/// A binary foreground mask, one byte a pixel, 0 or 1.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    size: ImageSize,
+    data: Vec<u8>,
+}
+
+impl Mask {
+    /// Any non-zero byte is foreground; `None` when the length is not `height * width`.
+    pub fn new(size: ImageSize, mut data: Vec<u8>) -> Option<Self> {
+        data.iter_mut().for_each(|v| *v = u8::from(*v != 0));
+        (data.len() == size.pixels()).then_some(Self { size, data })
+    }
+
+    /// A mask with every pixel foreground (`true`) or background.
+    pub fn filled(size: ImageSize, foreground: bool) -> Self {
+        Self { size, data: vec![u8::from(foreground); size.pixels()] }
+    }
+
+    /// Mask size.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Row-major bytes, 0 or 1.
+    pub fn data(&self) -> &[u8] {
+        &self.data
+    }
+
+    /// Whether a pixel is foreground.
+    pub fn contains(&self, column: usize, row: usize) -> bool {
+        self.data[row * self.size.width + column] != 0
+    }
+
+    /// Number of foreground pixels.
+    pub fn count(&self) -> usize {
+        self.data.iter().map(|&v| usize::from(v)).sum()
+    }
+
+    /// Grows the foreground by a square of `radius` pixels (separable maximum).
+    #[must_use]
+    pub fn dilated(&self, radius: usize) -> Self {
+        let ImageSize { width, height } = self.size;
+        let mut rows = vec![0; self.data.len()];
+        for (out, row) in rows.chunks_exact_mut(width).zip(self.data.chunks_exact(width)) {
+            spread(width, radius, |x| row[x] != 0, |x| out[x] = 1);
+        }
+        let mut data = vec![0; self.data.len()];
+        for x in 0..width {
+            spread(height, radius, |y| rows[y * width + x] != 0, |y| data[y * width + x] = 1);
+        }
+        Self { size: self.size, data }
+    }
+}
+
+/// Marks every position within `radius` of a set one, in linear time.
+fn spread(n: usize, radius: usize, is_set: impl Fn(usize) -> bool, mut mark: impl FnMut(usize)) {
+    let mut done = 0;
+    for i in (0..n).filter(|&i| is_set(i)) {
+        let end = (i + radius + 1).min(n);
+        for j in done.max(i.saturating_sub(radius))..end {
+            mark(j);
+        }
+        done = end;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dilation_is_a_square_clipped_at_the_border() {
+        let size = ImageSize { width: 7, height: 5 };
+        let mut data = vec![0; 35];
+        data[0] = 255;
+        data[3 * 7 + 4] = 1;
+        let mask = Mask::new(size, data).unwrap().dilated(1);
+        for y in 0..5 {
+            for x in 0..7 {
+                let near = (x <= 1 && y <= 1) || ((3..=5).contains(&x) && (2..=4).contains(&y));
+                assert_eq!(mask.contains(x, y), near, "({x}, {y})");
+            }
+        }
+        assert_eq!(mask.count(), 4 + 9);
+    }
+}
