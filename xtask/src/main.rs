@@ -1,2 +1,126 @@
-//! Developer commands.
-fn main() {}
+//! Developer commands: `cargo xtask --help`.
+
+mod ci;
+mod ffgs;
+mod fixtures;
+mod setup;
+mod tidy;
+mod workspace;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Builds, runs and checks fastflowgs.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", after_help = AFTER_HELP)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const AFTER_HELP: &str = "\
+Every command of the program itself passes through: the program is built in release and started with the same
+arguments, for example
+  cargo xtask check CAPTURE                     what a capture holds, and every fault in it
+  cargo xtask stage NAME --input in.npz --output out.npz
+  cargo xtask render RUN --frame 3 --orbit
+  cargo xtask eval RUN
+  cargo xtask config                            the default configuration, with comments
+  cargo xtask motion-eval --help
+  cargo xtask COMMAND --help                    the options of one of them";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Reconstruct a capture and write its report (the sample capture by default).
+    #[command(after_help = PIPELINE_HELP)]
+    Pipeline {
+        /// [CAPTURE] [--out DIR] and any option of `ffgs run`; a capture must come first.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+        args: Vec<String>,
+    },
+    /// Install the Debian packages the project needs; does nothing when they are there.
+    Setup,
+    /// Check the project's own rules: crate edges, file sizes, names, leftovers, whitespace.
+    Tidy,
+    /// Compare the files under fixtures/ with fixtures/MANIFEST.toml.
+    Fixtures {
+        #[command(subcommand)]
+        action: FixturesAction,
+    },
+    /// Run everything that must pass before a change lands; stops at the first failure.
+    Ci,
+    #[command(external_subcommand)]
+    Ffgs(Vec<String>),
+}
+
+const PIPELINE_HELP: &str = "\
+Examples:
+  cargo xtask pipeline                                  the sample capture, into out/fairmont-mini
+  cargo xtask pipeline path/to/capture --out out/mine   your own capture
+  cargo xtask pipeline --frames 0..3 --iterations 100   the sample capture, fewer frames and iterations
+  cargo xtask pipeline --resume                         go on after an interruption
+`cargo xtask run --help` lists every option of the run.";
+
+#[derive(Subcommand)]
+enum FixturesAction {
+    /// List missing, extra and changed files and broken size limits; fail if there are any.
+    Check,
+    /// Write the manifest anew from the files that are there.
+    Update,
+}
+
+fn main() -> ExitCode {
+    match run(Cli::parse().command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> Result<ExitCode> {
+    let root = workspace::root()?;
+    match command {
+        Command::Pipeline { args } => {
+            setup::run()?;
+            return ffgs::pipeline(&root, args);
+        }
+        Command::Ffgs(args) => return ffgs::pass_through(&root, &args),
+        Command::Setup => setup::run()?,
+        Command::Tidy => {
+            tidy::run(&root)?;
+            println!("tidy: no finding");
+        }
+        Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
+        Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
+        Command::Ci => ci::run(&root)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn pipeline_hands_every_option_on() {
+        let cli = Cli::try_parse_from(["x", "pipeline", "cap", "--out", "o", "--frames", "0..2"]).unwrap();
+        let Command::Pipeline { args } = cli.command else { panic!("not the pipeline command") };
+        assert_eq!(args, ["cap", "--out", "o", "--frames", "0..2"]);
+    }
+
+    #[test]
+    fn an_option_may_come_first() {
+        let cli = Cli::try_parse_from(["x", "pipeline", "--frames", "0..2"]).unwrap();
+        let Command::Pipeline { args } = cli.command else { panic!("not the pipeline command") };
+        assert_eq!(args, ["--frames", "0..2"]);
+    }
+}

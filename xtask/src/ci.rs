@@ -1,0 +1,189 @@
+//! `cargo xtask ci`: everything that must pass before a change lands.
+
+use crate::{ffgs, fixtures, setup, tidy, workspace};
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::Value;
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::Path;
+use std::process::Command;
+use std::time::Instant;
+
+/// A step returns what its tool printed; an error carries the output to show.
+type Step = (&'static str, fn(&Path) -> Result<String>);
+
+const STEPS: [Step; 8] = [
+    ("setup", |_| setup::run().map(|()| String::new())),
+    ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
+    ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
+    ("tidy", |root| tidy::run(root).map(|()| String::new())),
+    ("fixtures", fixtures::check),
+    ("tests", tests),
+    ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
+    ("main job", main_job),
+];
+
+/// Figures of `metrics.json`'s `mean` that must be finite.
+const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
+
+/// Runs the steps in order, stops at the first failure, and closes with the test count.
+pub fn run(root: &Path) -> Result<()> {
+    let mut rows = Vec::new();
+    let mut tally = Tally::default();
+    for (name, step) in STEPS {
+        println!("ci: {name} …");
+        let start = Instant::now();
+        let result = step(root);
+        rows.push((name, start.elapsed().as_secs_f64(), result.is_ok()));
+        match result {
+            Ok(output) => tally.add(&output),
+            Err(error) => {
+                println!("{error:#}\n\n{}", table(&rows));
+                bail!("ci stopped at `{name}`; its output is above");
+            }
+        }
+    }
+    ensure!(tally.passed > 0, "no test ran");
+    println!("\n{}\n{} passed, {} failed", table(&rows), tally.passed, tally.failed);
+    Ok(())
+}
+
+fn table(rows: &[(&str, f64, bool)]) -> String {
+    let line = |&(name, seconds, ok): &(&str, f64, bool)| {
+        format!("{name:<10} {seconds:>8.1} s  {}", if ok { "ok" } else { "FAILED" })
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+fn tests(root: &Path) -> Result<String> {
+    let nextest = workspace::cargo(root).args(["nextest", "--version"]).output();
+    if nextest.is_ok_and(|output| output.status.success()) {
+        return cargo(root, &["nextest", "run", "--workspace", "--no-fail-fast"]);
+    }
+    cargo(root, &["test", "--workspace", "--all-targets", "--no-fail-fast"])
+}
+
+/// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.
+fn main_job(root: &Path) -> Result<String> {
+    let program = ffgs::build(root)?;
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let out = folder.path().join("run");
+    let mut command = Command::new(program);
+    command.current_dir(root).arg("run").arg(ffgs::SAMPLE).arg("--out").arg(&out);
+    command.args(["--frames", "0..2", "--first-iterations", "30"]);
+    command.args(["--iterations", "10", "--static-iterations", "5"]);
+    let output = captured(&mut command)?;
+    check_run(&out).with_context(|| format!("the run wrote no usable result; it printed:\n{output}"))?;
+    Ok(output)
+}
+
+fn check_run(out: &Path) -> Result<()> {
+    let report = std::fs::metadata(out.join("report.html")).context("report.html")?;
+    ensure!(report.len() > 0, "report.html is empty");
+    let text = std::fs::read_to_string(out.join("metrics.json")).context("metrics.json")?;
+    check_metrics(&serde_json::from_str(&text).context("metrics.json is not JSON")?)
+}
+
+fn check_metrics(metrics: &Value) -> Result<()> {
+    for key in FIGURES {
+        let value = &metrics["mean"][key];
+        ensure!(
+            value.as_f64().is_some_and(f64::is_finite),
+            "metrics.json: mean.{key} is {value}, not a number"
+        );
+    }
+    Ok(())
+}
+
+fn cargo(root: &Path, args: &[&str]) -> Result<String> {
+    let mut command = workspace::cargo(root);
+    // Colour codes would hide the summary lines that are counted.
+    captured(command.args(args).env("CARGO_TERM_COLOR", "never"))
+}
+
+/// Runs a command; both its streams, in the order written, as the value or inside the error.
+fn captured(command: &mut Command) -> Result<String> {
+    let mut log: File = tempfile::tempfile().context("cannot make a temporary file")?;
+    let status = command
+        .stdout(log.try_clone()?)
+        .stderr(log.try_clone()?)
+        .status()
+        .with_context(|| format!("cannot start {}", command.get_program().display()))?;
+    let mut bytes = Vec::new();
+    log.seek(SeekFrom::Start(0))?;
+    log.read_to_end(&mut bytes)?;
+    let output = String::from_utf8_lossy(&bytes).into_owned();
+    ensure!(status.success(), "{output}\n{command:?}: {status}");
+    Ok(output)
+}
+
+/// Tests counted from the summary lines of nextest and of cargo test.
+#[derive(Debug, Default, PartialEq)]
+struct Tally {
+    passed: usize,
+    failed: usize,
+}
+
+impl Tally {
+    fn add(&mut self, output: &str) {
+        let is_summary = |line: &&str| {
+            let line = line.trim_start();
+            line.starts_with("test result:") || line.starts_with("Summary [")
+        };
+        for line in output.lines().filter(is_summary) {
+            self.passed += number_before(line, "passed");
+            self.failed += number_before(line, "failed");
+        }
+    }
+}
+
+/// The number in front of a word: `12 passed` holds 12; 0 when the word is absent.
+fn number_before(line: &str, word: &str) -> usize {
+    let words: Vec<&str> = line.split(|c: char| c.is_whitespace() || ",;.".contains(c)).collect();
+    words.windows(2).filter(|pair| pair[1] == word).find_map(|pair| pair[0].parse().ok()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn both_runners_are_counted() {
+        let mut tally = Tally::default();
+        tally.add("     Summary [   0.004s] 13 tests run: 12 passed (1 slow), 1 failed, 2 skipped\n");
+        tally.add("running 2 tests\ntest result: ok. 2 passed; 0 failed; 0 ignored; finished in 0.1s\n");
+        assert_eq!(tally, Tally { passed: 14, failed: 1 });
+    }
+
+    #[test]
+    fn a_figure_that_is_missing_or_null_is_refused() {
+        let mut metrics = json!({ "mean": { "psnr": 20.5, "mpsnr": 18.0, "ssim": 0.5,
+            "seconds_per_frame": 3, "gaussians": 1000, "bytes_per_frame": 12 } });
+        assert!(check_metrics(&metrics).is_ok());
+        metrics["mean"]["mpsnr"] = Value::Null;
+        assert!(check_metrics(&metrics).unwrap_err().to_string().contains("mpsnr"));
+        assert!(check_metrics(&json!({})).is_err());
+    }
+
+    #[test]
+    fn a_run_without_a_report_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("metrics.json"), "{}").unwrap();
+        assert!(check_run(folder.path()).unwrap_err().to_string().contains("report.html"));
+    }
+
+    #[test]
+    fn a_failing_tool_shows_its_output() {
+        let error =
+            captured(Command::new("sh").args(["-c", "echo seen; echo both >&2; exit 3"])).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("seen\nboth"), "{text}");
+    }
+
+    #[test]
+    fn the_table_shows_every_step() {
+        let text = table(&[("format", 1.25, true), ("tests", 100.0, false)]);
+        assert_eq!(text, "format          1.2 s  ok\ntests         100.0 s  FAILED");
+    }
+}

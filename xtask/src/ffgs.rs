@@ -1,0 +1,147 @@
+//! Builds the program in release and starts it.
+
+use crate::workspace;
+use anyhow::{Context, Result, bail, ensure};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, ExitStatus};
+
+/// The capture that ships with the repository.
+pub const SAMPLE: &str = "fixtures/scenes/fairmont-mini";
+
+/// Commands of the program that `cargo xtask` hands on.
+const COMMANDS: [&str; 7] = ["run", "check", "stage", "render", "eval", "config", "motion-eval"];
+
+/// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
+pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
+    let plan = RunPlan::new(args, &shown(root));
+    let program = build(root)?;
+    let status = start(&program, &plan.words())?;
+    let report = plan.out.join("report.html");
+    if status.success() && report.is_file() {
+        println!("report: {}", report.display());
+    }
+    Ok(exit_code(status))
+}
+
+/// Any other command of the program, with its own arguments.
+pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
+    let name = args.first().map_or("", String::as_str);
+    if !COMMANDS.contains(&name) {
+        bail!("no command `{name}`; `cargo xtask --help` lists them");
+    }
+    let program = build(root)?;
+    Ok(exit_code(start(&program, args)?))
+}
+
+/// Builds the release binary and returns its path.
+pub fn build(root: &Path) -> Result<PathBuf> {
+    let mut command = workspace::cargo(root);
+    command.args(["build", "--release", "--quiet", "-p", "ffgs-pipeline", "--bin", "ffgs"]);
+    // A first build takes minutes: say what the silence is.
+    if !binary(root).is_file() {
+        println!("building ffgs in release (a few minutes the first time)");
+    }
+    let status = command.status().context("cannot start cargo")?;
+    ensure!(status.success(), "the build of ffgs failed");
+    Ok(binary(root))
+}
+
+/// Where the release binary lies.
+pub fn binary(root: &Path) -> PathBuf {
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir));
+    target.join("release").join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
+}
+
+fn start(program: &Path, args: &[String]) -> Result<ExitStatus> {
+    Command::new(program).args(args).status().with_context(|| format!("cannot start {}", program.display()))
+}
+
+fn exit_code(status: ExitStatus) -> ExitCode {
+    if status.success() {
+        return ExitCode::SUCCESS;
+    }
+    // Killed by a signal: no code of its own.
+    ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
+}
+
+/// The root as a person in the current folder would write it: empty when they are in it.
+fn shown(root: &Path) -> PathBuf {
+    match std::env::current_dir() {
+        Ok(current) if current == root => PathBuf::new(),
+        _ => root.to_path_buf(),
+    }
+}
+
+#[derive(Debug, PartialEq)]
+struct RunPlan {
+    capture: String,
+    out: PathBuf,
+    rest: Vec<String>,
+}
+
+impl RunPlan {
+    fn new(mut args: Vec<String>, root: &Path) -> Self {
+        let named = args.first().is_some_and(|first| !first.starts_with('-'));
+        let capture = if named { args.remove(0) } else { root.join(SAMPLE).to_string_lossy().into_owned() };
+        let out = take_out(&mut args).map_or_else(|| default_out(root, &capture), PathBuf::from);
+        Self { capture, out, rest: args }
+    }
+
+    fn words(&self) -> Vec<String> {
+        let out = self.out.to_string_lossy().into_owned();
+        let mut words = vec!["run".to_owned(), self.capture.clone(), "--out".to_owned(), out];
+        words.extend(self.rest.iter().cloned());
+        words
+    }
+}
+
+fn default_out(root: &Path, capture: &str) -> PathBuf {
+    let absolute = Path::new(capture).canonicalize().unwrap_or_else(|_| PathBuf::from(capture));
+    let name = absolute.file_name().map_or_else(|| "run".into(), ToOwned::to_owned);
+    root.join("out").join(name)
+}
+
+/// Takes `--out DIR` or `--out=DIR` from the arguments.
+fn take_out(args: &mut Vec<String>) -> Option<String> {
+    let at = args.iter().position(|a| a == "--out" || a.starts_with("--out="))?;
+    if args[at] == "--out" {
+        // Without its value the option stays, so that the program itself reports it.
+        return (at + 1 < args.len()).then(|| args.drain(at..=at + 1).nth(1)).flatten();
+    }
+    args.remove(at).strip_prefix("--out=").map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(args: &[&str]) -> RunPlan {
+        RunPlan::new(args.iter().map(|&a| a.to_owned()).collect(), Path::new(""))
+    }
+
+    #[test]
+    fn the_sample_is_the_default() {
+        let words = plan(&[]).words();
+        assert_eq!(words, ["run", SAMPLE, "--out", "out/fairmont-mini"]);
+    }
+
+    #[test]
+    fn a_named_capture_replaces_the_sample_and_options_follow() {
+        let words = plan(&["caps/street", "--frames", "0..2", "--out", "there", "--resume"]).words();
+        assert_eq!(words, ["run", "caps/street", "--out", "there", "--frames", "0..2", "--resume"]);
+        assert_eq!(plan(&["caps/street"]).out, Path::new("out/street"));
+        assert_eq!(plan(&["--out=x", "--quiet"]).words(), ["run", SAMPLE, "--out", "x", "--quiet"]);
+    }
+
+    #[test]
+    fn an_option_without_its_value_is_left_to_the_program() {
+        assert_eq!(plan(&["--out"]).rest, ["--out"]);
+    }
+
+    #[test]
+    fn an_unknown_command_is_refused_before_anything_is_built() {
+        let error = pass_through(Path::new("/nowhere"), &["chek".to_owned()]).unwrap_err();
+        assert!(error.to_string().contains("chek"));
+    }
+}
