@@ -108,8 +108,8 @@ mod tests {
     fn names_that_say_nothing_are_found() {
         assert_eq!(empty_names(&source("crates/a/src/utils.rs", "")).len(), 1);
         assert_eq!(empty_names(&source("crates/a/src/helpers/x.rs", "")).len(), 1);
-        assert_eq!(empty_names(&source("a.rs", "pub(crate) mod misc {\n")).len(), 1);
-        assert_eq!(empty_names(&source("a.rs", "    fn helper(x: f32) {\n")).len(), 1);
+        assert_eq!(empty_names(&source("a.rs", &format!("pub(crate) mod {} {{\n", EMPTY_NAMES[4]))).len(), 1);
+        assert_eq!(empty_names(&source("a.rs", &format!("    fn {}(x: f32) {{\n", EMPTY_NAMES[3]))).len(), 1);
         assert!(empty_names(&source("a.rs", "fn helper_lens() { utils.go() }\n")).is_empty());
     }
 
