@@ -2,7 +2,11 @@
 //!
 //! Everything here gives the same bits for any number of rayon threads.
 
+mod adam;
+mod densify;
 mod loss;
 mod simd;
 
+pub use adam::{Adam, AdamVec, LearningRates, Update};
+pub use densify::{DensityConfig, DensityControl, DensityPlan, IndexMap, ViewStatistics, reset_opacities};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};

@@ -1,0 +1,435 @@
+//! Adam (Kingma and Ba 2015) over columns of Gaussians, and over a flat parameter vector.
+//!
+//! Every Gaussian counts its own steps, so that one born by densification, or rarely seen, gets the bias correction
+//! of its own history.
+
+use crate::densify::IndexMap;
+use crate::simd::{Kernel, dispatch, fma};
+use ffgs_core::Gaussians;
+use rayon::prelude::*;
+
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+/// As in 3DGS: gradients of a mean over pixels are tiny, a larger epsilon would damp them.
+const EPSILON: f32 = 1e-15;
+/// Beyond this many steps both bias corrections are 1 within f32 rounding: 0.999^16384 = 7.6e-8.
+const CORRECTED_STEPS: usize = 16_384;
+/// Gaussians of one parallel task.
+const CHUNK: usize = 512;
+
+/// Step sizes per column of a Gaussian set; 0 freezes a column.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LearningRates {
+    /// Positions (m).
+    pub means: f32,
+    /// Quaternions.
+    pub quats: f32,
+    /// Log scales.
+    pub scales: f32,
+    /// Opacity logits.
+    pub opacities: f32,
+    /// SH coefficient 0.
+    pub sh0: f32,
+    /// SH coefficients of degree 1 and above.
+    pub sh_rest: f32,
+}
+
+impl LearningRates {
+    /// 3DGS defaults with the given position rate (m), usually a schedule times the scene's extent.
+    pub const fn with_means(means: f32) -> Self {
+        Self { means, quats: 1e-3, scales: 5e-3, opacities: 5e-2, sh0: 2.5e-3, sh_rest: 1.25e-4 }
+    }
+}
+
+/// Which Gaussians a step updates.
+#[derive(Clone, Copy, Debug)]
+pub enum Update<'a> {
+    /// All: moments of a Gaussian without gradient decay, and it keeps moving by its momentum (literal Adam).
+    Dense,
+    /// Those flagged, (N); the others keep parameters, moments and step count (sparse Adam). Cost grows with what a
+    /// view sees.
+    Touched(&'a [bool]),
+}
+
+impl Update<'_> {
+    #[inline(always)]
+    fn includes(self, i: usize) -> bool {
+        match self {
+            Self::Dense => true,
+            Self::Touched(flags) => flags[i],
+        }
+    }
+}
+
+/// Factors of a step: `parameter -= rate * (m * first) / (sqrt(v) * second + epsilon)`.
+#[derive(Clone, Copy)]
+struct Correction {
+    first: f32,
+    second: f32,
+}
+
+fn corrections() -> Vec<Correction> {
+    let factor = |t: usize| Correction {
+        first: (1.0 / (1.0 - f64::from(BETA1).powi(t as i32))) as f32,
+        second: (1.0 / (1.0 - f64::from(BETA2).powi(t as i32)).sqrt()) as f32,
+    };
+    // Entry 0 is never used: a Gaussian's first step has t = 1.
+    (0..=CORRECTED_STEPS).map(|t| factor(t.max(1))).collect()
+}
+
+/// Adam's state for a Gaussian set: first and second moments shaped like it, and a step count per Gaussian.
+#[derive(Clone)]
+pub struct Adam {
+    first: Gaussians,
+    second: Gaussians,
+    steps: Vec<u32>,
+    corrections: Vec<Correction>,
+    sh_rates: Vec<f32>,
+}
+
+impl Adam {
+    /// Zero moments for `n` Gaussians of `sh_degree`.
+    pub fn new(n: usize, sh_degree: usize) -> Self {
+        let zeros = Gaussians::zeros(n, sh_degree);
+        Self {
+            sh_rates: vec![0.0; 3 * zeros.sh_stride()],
+            first: zeros.clone(),
+            second: zeros,
+            steps: vec![0; n],
+            corrections: corrections(),
+        }
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.steps.is_empty()
+    }
+
+    /// Steps taken by each Gaussian, (N).
+    pub fn steps(&self) -> &[u32] {
+        &self.steps
+    }
+
+    /// First moments, shaped like the Gaussians.
+    pub fn first_moments(&self) -> &Gaussians {
+        &self.first
+    }
+
+    /// Second moments, shaped like the Gaussians.
+    pub fn second_moments(&self) -> &Gaussians {
+        &self.second
+    }
+
+    /// One step of `gaussians` down `gradient` (same shape). A column with rate 0 keeps its moments too.
+    ///
+    /// # Panics
+    /// When the shapes of the arguments and the state differ.
+    pub fn step(
+        &mut self,
+        gaussians: &mut Gaussians,
+        gradient: &Gaussians,
+        rates: &LearningRates,
+        update: Update,
+    ) {
+        let n = self.len();
+        assert!(gaussians.len() == n && gradient.len() == n, "{n} moments, {} Gaussians", gaussians.len());
+        assert!(
+            gaussians.sh.len() == self.first.sh.len() && gradient.sh.len() == self.first.sh.len(),
+            "SH degree"
+        );
+        if let Update::Touched(flags) = update {
+            assert_eq!(flags.len(), n, "touched flags");
+        }
+        self.sh_rates.fill(rates.sh_rest);
+        self.sh_rates[..3].fill(rates.sh0);
+        for (i, step) in self.steps.iter_mut().enumerate() {
+            *step += u32::from(update.includes(i));
+        }
+        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update };
+        let (p, g, m, v) = (gaussians, gradient, &mut self.first, &mut self.second);
+        macro_rules! column {
+            ($field:ident, $rates:expr) => {
+                let moments = (m.$field.as_flattened_mut(), v.$field.as_flattened_mut());
+                shared.column(p.$field.as_flattened_mut(), g.$field.as_flattened(), moments, $rates);
+            };
+        }
+        column!(means, &[rates.means; 3]);
+        column!(quats, &[rates.quats; 4]);
+        column!(log_scales, &[rates.scales; 3]);
+        column!(sh, &self.sh_rates);
+        let moments = (&mut m.opacity_logits[..], &mut v.opacity_logits[..]);
+        shared.column(&mut p.opacity_logits, &g.opacity_logits, moments, &[rates.opacities]);
+    }
+
+    /// Keeps the moments of the Gaussians at `indices`, in that order.
+    pub fn select(&mut self, indices: &[usize]) {
+        self.first = self.first.select(indices);
+        self.second = self.second.select(indices);
+        self.steps = indices.iter().map(|&i| self.steps[i]).collect();
+    }
+
+    /// Appends `n` Gaussians with zero moments and no steps.
+    pub fn append_zeros(&mut self, n: usize) {
+        let zeros = Gaussians::zeros(n, self.first.sh_degree());
+        self.first.extend(&zeros);
+        self.second.extend(&zeros);
+        self.steps.resize(self.steps.len() + n, 0);
+    }
+
+    /// Follows a densification: moments of kept Gaussians, zeros for new ones.
+    pub fn remap(&mut self, map: &IndexMap) {
+        let kept = map.kept();
+        self.select(&map.sources[..kept]);
+        self.append_zeros(map.len() - kept);
+    }
+
+    /// Zeroes the moments of all opacities (after an opacity reset). Step counts stay.
+    pub fn reset_opacity(&mut self) {
+        self.first.opacity_logits.fill(0.0);
+        self.second.opacity_logits.fill(0.0);
+    }
+}
+
+/// What every column of a step reads.
+#[derive(Clone, Copy)]
+struct Shared<'a> {
+    steps: &'a [u32],
+    corrections: &'a [Correction],
+    update: Update<'a>,
+}
+
+impl Shared<'_> {
+    fn column(
+        self,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        moments: (&mut [f32], &mut [f32]),
+        rates: &[f32],
+    ) {
+        if rates.iter().all(|&r| r == 0.0) {
+            return;
+        }
+        let length = CHUNK * rates.len();
+        parameters
+            .par_chunks_mut(length)
+            .zip(gradient.par_chunks(length))
+            .zip(moments.0.par_chunks_mut(length))
+            .zip(moments.1.par_chunks_mut(length))
+            .enumerate()
+            .for_each(|(chunk, (((p, g), m), v))| {
+                dispatch(Chunk { shared: self, start: chunk * CHUNK, p, g, m, v, rates });
+            });
+    }
+
+    #[inline(always)]
+    fn correction(&self, i: usize) -> Correction {
+        self.corrections[(self.steps[i] as usize).min(CORRECTED_STEPS)]
+    }
+}
+
+/// One column of up to [`CHUNK`] Gaussians.
+struct Chunk<'a> {
+    shared: Shared<'a>,
+    start: usize,
+    p: &'a mut [f32],
+    g: &'a [f32],
+    m: &'a mut [f32],
+    v: &'a mut [f32],
+    rates: &'a [f32],
+}
+
+impl Kernel for Chunk<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let width = self.rates.len();
+        let count = self.p.len() / width;
+        let steps = &self.shared.steps[self.start..self.start + count];
+        let uniform = matches!(self.shared.update, Update::Dense)
+            && width < 16
+            && steps.iter().all(|s| *s == steps[0])
+            && self.rates.iter().all(|r| *r == self.rates[0]);
+        if uniform {
+            let by = self.shared.correction(self.start);
+            descend_uniform::<FMA>(self.p, self.g, self.m, self.v, self.rates[0], by);
+            return;
+        }
+        for i in (0..count).filter(|i| self.shared.update.includes(self.start + i)) {
+            let by = self.shared.correction(self.start + i);
+            let at = i * width..(i + 1) * width;
+            let (p, g) = (&mut self.p[at.clone()], &self.g[at.clone()]);
+            let (m, v) = (&mut self.m[at.clone()], &mut self.v[at]);
+            for ((((p, g), m), v), rate) in p.iter_mut().zip(g).zip(m).zip(v).zip(self.rates) {
+                descend::<FMA>(p, *g, m, v, *rate, by);
+            }
+        }
+    }
+}
+
+/// The same rate and step count throughout: one flat loop.
+#[inline(always)]
+fn descend_uniform<const FMA: bool>(
+    p: &mut [f32],
+    g: &[f32],
+    m: &mut [f32],
+    v: &mut [f32],
+    rate: f32,
+    by: Correction,
+) {
+    for (((p, g), m), v) in p.iter_mut().zip(g).zip(m).zip(v) {
+        descend::<FMA>(p, *g, m, v, rate, by);
+    }
+}
+
+#[inline(always)]
+fn descend<const FMA: bool>(p: &mut f32, g: f32, m: &mut f32, v: &mut f32, rate: f32, by: Correction) {
+    *m = fma::<FMA>(1.0 - BETA1, g - *m, *m);
+    *v = fma::<FMA>(1.0 - BETA2, fma::<FMA>(g, g, -*v), *v);
+    *p -= rate * (*m * by.first) / fma::<FMA>(v.sqrt(), by.second, EPSILON);
+}
+
+/// Adam over a flat vector whose entries form items of `width` values, each with its own step count (texels: 3).
+#[derive(Clone)]
+pub struct AdamVec {
+    first: Vec<f32>,
+    second: Vec<f32>,
+    steps: Vec<u32>,
+    corrections: Vec<Correction>,
+    rates: Vec<f32>,
+}
+
+impl AdamVec {
+    /// Zero moments for `items` items of `width` values.
+    pub fn new(items: usize, width: usize) -> Self {
+        let moments = vec![0.0; items * width];
+        Self {
+            first: moments.clone(),
+            second: moments,
+            steps: vec![0; items],
+            corrections: corrections(),
+            rates: vec![0.0; width],
+        }
+    }
+
+    /// One step of `parameters` down `gradient`, both (items * width).
+    ///
+    /// # Panics
+    /// When a length differs from the state's.
+    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f32, update: Update) {
+        assert!(parameters.len() == self.first.len() && gradient.len() == self.first.len(), "lengths differ");
+        self.rates.fill(rate);
+        for (i, step) in self.steps.iter_mut().enumerate() {
+            *step += u32::from(update.includes(i));
+        }
+        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update };
+        shared.column(parameters, gradient, (&mut self.first, &mut self.second), &self.rates);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATES: LearningRates =
+        LearningRates { means: 0.01, quats: 0.02, scales: 0.03, opacities: 0.04, sh0: 0.05, sh_rest: 0.06 };
+
+    /// Deterministic values in -1..1.
+    fn wave(column: &mut [f32], phase: f32) {
+        for (i, v) in column.iter_mut().enumerate() {
+            *v = (i as f32 * 0.7 + phase).sin();
+        }
+    }
+
+    fn waves(n: usize, degree: usize, phase: f32) -> Gaussians {
+        let mut g = Gaussians::zeros(n, degree);
+        wave(g.means.as_flattened_mut(), phase);
+        wave(g.quats.as_flattened_mut(), phase + 1.0);
+        wave(g.log_scales.as_flattened_mut(), phase + 2.0);
+        wave(&mut g.opacity_logits, phase + 3.0);
+        wave(g.sh.as_flattened_mut(), phase + 4.0);
+        g
+    }
+
+    fn reference(start: f32, gradients: &[f32], rate: f32) -> f64 {
+        let (mut p, mut m, mut v) = (f64::from(start), 0.0, 0.0);
+        for (t, &g) in gradients.iter().enumerate() {
+            let (g, t) = (f64::from(g), t as i32 + 1);
+            m = 0.9 * m + 0.1 * g;
+            v = 0.999 * v + 0.001 * g * g;
+            let (mean, square) = (m / (1.0 - 0.9f64.powi(t)), v / (1.0 - 0.999f64.powi(t)));
+            p -= f64::from(rate) * mean / (square.sqrt() + 1e-15);
+        }
+        p
+    }
+
+    #[test]
+    fn steps_match_the_scalar_definition() {
+        let (n, degree) = (700, 2);
+        let start = waves(n, degree, 0.0);
+        let gradients: Vec<_> = (0..5).map(|t| waves(n, degree, 10.0 + t as f32)).collect();
+        let mut g = start.clone();
+        let mut adam = Adam::new(n, degree);
+        gradients.iter().for_each(|gradient| adam.step(&mut g, gradient, &RATES, Update::Dense));
+        let check = |got: f32, column: fn(&Gaussians) -> &[f32], i: usize, rate: f32| {
+            let history: Vec<f32> = gradients.iter().map(|g| column(g)[i]).collect();
+            let want = reference(column(&start)[i], &history, rate);
+            assert!((f64::from(got) - want).abs() < 2e-6, "{got} against {want}");
+        };
+        for i in [0, 1, 511 * 3, n * 3 - 1] {
+            check(g.means.as_flattened()[i], |g| g.means.as_flattened(), i, RATES.means);
+            check(g.log_scales.as_flattened()[i], |g| g.log_scales.as_flattened(), i, RATES.scales);
+            check(g.quats.as_flattened()[i], |g| g.quats.as_flattened(), i, RATES.quats);
+            check(g.opacity_logits[i / 3], |g| &g.opacity_logits, i / 3, RATES.opacities);
+        }
+        check(g.sh.as_flattened()[28], |g| g.sh.as_flattened(), 28, RATES.sh0);
+        check(g.sh.as_flattened()[30], |g| g.sh.as_flattened(), 30, RATES.sh_rest);
+    }
+
+    #[test]
+    fn untouched_gaussians_keep_everything() {
+        let n = 10;
+        let touched: Vec<bool> = (0..n).map(|i| i % 3 == 0).collect();
+        let start = waves(n, 1, 0.0);
+        let gradient = waves(n, 1, 5.0);
+        let (mut dense, mut sparse) = (start.clone(), start.clone());
+        Adam::new(n, 1).step(&mut dense, &gradient, &RATES, Update::Dense);
+        let mut adam = Adam::new(n, 1);
+        adam.step(&mut sparse, &gradient, &RATES, Update::Touched(&touched));
+        for (i, &hit) in touched.iter().enumerate() {
+            let want = if hit { &dense } else { &start };
+            assert_eq!(sparse.select(&[i]), want.select(&[i]));
+            assert_eq!(adam.steps()[i], u32::from(hit));
+        }
+    }
+
+    #[test]
+    fn moments_follow_a_densification() {
+        let mut g = waves(4, 0, 0.0);
+        let mut adam = Adam::new(4, 0);
+        adam.step(&mut g, &waves(4, 0, 1.0), &RATES, Update::Dense);
+        let before = adam.clone();
+        adam.select(&[3, 1]);
+        adam.append_zeros(1);
+        assert_eq!(adam.steps(), [1, 1, 0]);
+        assert_eq!(adam.first.means[0], before.first.means[3]);
+        assert_eq!(adam.second.sh[2], [0.0; 3]);
+        adam.reset_opacity();
+        assert_eq!(adam.first.opacity_logits, [0.0; 3]);
+        adam.first.validate().unwrap();
+    }
+
+    #[test]
+    fn the_flat_form_matches_the_scalar_definition() {
+        let mut p = vec![0.3, -0.2, 0.1, 0.5, 0.6, 0.7];
+        let gradient = [0.1, -0.2, 0.3, 0.4, 0.5, 0.6];
+        let mut adam = AdamVec::new(2, 3);
+        adam.step(&mut p, &gradient, 0.01, Update::Touched(&[true, false]));
+        adam.step(&mut p, &gradient, 0.01, Update::Touched(&[true, false]));
+        assert!((f64::from(p[1]) - reference(-0.2, &[-0.2, -0.2], 0.01)).abs() < 1e-6);
+        assert_eq!(p[3..], [0.5, 0.6, 0.7]);
+    }
+}

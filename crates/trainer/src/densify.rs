@@ -1,0 +1,300 @@
+//! Adaptive density control of 3D Gaussian Splatting (Kerbl et al. 2023, section 5), with a hard cap.
+//!
+//! A Gaussian whose projected mean has a large average gradient is cloned when small and split in two when large;
+//! transparent and oversized ones are removed. When the cap leaves no room for all candidates, those with the
+//! largest gradients win.
+
+use ffgs_core::{Gaussians, logit, sigmoid};
+use glam::{Quat, Vec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Children of a split.
+const CHILDREN: usize = 2;
+/// A child's scale is its parent's divided by `0.8 * CHILDREN` (3DGS `densify_and_split`).
+const CHILD_SHRINK: f32 = 0.8 * CHILDREN as f32;
+
+/// Thresholds of the density control; defaults of 3DGS.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DensityConfig {
+    /// Mean gradient of the projected position from which a Gaussian grows (loss per half image width, NDC units).
+    pub grow_gradient: f32,
+    /// Largest standard deviation that is still cloned and not split, as a share of the scene's extent.
+    pub split_scale: f32,
+    /// Opacity below which a Gaussian is removed.
+    pub prune_opacity: f32,
+    /// Largest standard deviation that is kept, as a share of the scene's extent; infinite = off.
+    pub prune_scale: f32,
+    /// Largest projected radius that is kept (px); infinite = off. 3DGS turns it on after the first opacity reset.
+    pub prune_radius: f32,
+    /// Number of Gaussians never exceeded by growth.
+    pub max_gaussians: usize,
+}
+
+impl Default for DensityConfig {
+    fn default() -> Self {
+        Self {
+            grow_gradient: 2e-4,
+            split_scale: 0.01,
+            prune_opacity: 0.005,
+            prune_scale: 0.1,
+            prune_radius: f32::INFINITY,
+            max_gaussians: 1_000_000,
+        }
+    }
+}
+
+/// What one rendered view says of every Gaussian; columns of length N.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewStatistics<'a> {
+    /// Norm of the loss gradient by the projected mean, scaled from pixels to normalised device coordinates:
+    /// `|(dL/dx * width / 2, dL/dy * height / 2)|`.
+    pub gradient_norms: &'a [f32],
+    /// Whether the Gaussian was drawn in this view.
+    pub visible: &'a [bool],
+    /// Projected radius (px).
+    pub radii: &'a [f32],
+}
+
+/// What becomes of each Gaussian, columns of length N. A Gaussian is never both grown and pruned by size.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DensityPlan {
+    /// Indices that get a copy, ascending.
+    pub clone: Vec<usize>,
+    /// Indices that are replaced by two children, ascending.
+    pub split: Vec<usize>,
+    /// Whether the Gaussian is removed, (N).
+    pub prune: Vec<bool>,
+}
+
+/// Where each Gaussian of the new set came from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct IndexMap {
+    /// Index in the old set, (N new); carries labels and covariances over.
+    pub sources: Vec<usize>,
+    /// Whether it is the same Gaussian, with its moments; new ones come after all kept ones.
+    pub keeps_moments: Vec<bool>,
+}
+
+impl IndexMap {
+    /// Number of Gaussians of the new set.
+    pub fn len(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// Whether the new set is empty.
+    pub fn is_empty(&self) -> bool {
+        self.sources.is_empty()
+    }
+
+    /// Number of kept Gaussians; they come first.
+    pub fn kept(&self) -> usize {
+        self.keeps_moments.partition_point(|&keeps| keeps)
+    }
+
+    /// A column of the old set, carried over to the new one.
+    pub fn carry<T: Clone>(&self, column: &[T]) -> Vec<T> {
+        self.sources.iter().map(|&i| column[i].clone()).collect()
+    }
+}
+
+/// Gathers gradient statistics over views and turns them into growth and removal.
+#[derive(Clone, Debug)]
+pub struct DensityControl {
+    config: DensityConfig,
+    gradient_sums: Vec<f32>,
+    views: Vec<u32>,
+    radii: Vec<f32>,
+    rng: ChaCha8Rng,
+}
+
+impl DensityControl {
+    /// No statistics yet of `n` Gaussians; `seed` fixes where children of a split come to lie.
+    pub fn new(config: DensityConfig, n: usize, seed: u64) -> Self {
+        let rng = ChaCha8Rng::seed_from_u64(seed);
+        Self { config, gradient_sums: vec![0.0; n], views: vec![0; n], radii: vec![0.0; n], rng }
+    }
+
+    /// The thresholds; may change between plans.
+    pub fn config_mut(&mut self) -> &mut DensityConfig {
+        &mut self.config
+    }
+
+    /// Adds one view.
+    ///
+    /// # Panics
+    /// When a column has another length than the set.
+    pub fn observe(&mut self, view: &ViewStatistics) {
+        let n = self.views.len();
+        let lengths = [view.gradient_norms.len(), view.visible.len(), view.radii.len()];
+        assert_eq!(lengths, [n; 3], "columns of the view");
+        for i in (0..n).filter(|&i| view.visible[i]) {
+            self.gradient_sums[i] += view.gradient_norms[i];
+            self.views[i] += 1;
+            self.radii[i] = self.radii[i].max(view.radii[i]);
+        }
+    }
+
+    /// Decides by the statistics so far; `extent` is the radius of the camera positions (m).
+    pub fn plan(&self, gaussians: &Gaussians, extent: f32) -> DensityPlan {
+        let prune: Vec<bool> = (0..gaussians.len()).map(|i| self.is_pruned(gaussians, extent, i)).collect();
+        let kept = prune.iter().filter(|&&p| !p).count();
+        let room = self.config.max_gaussians.saturating_sub(kept);
+        let (mut clone, mut split) = (Vec::new(), Vec::new());
+        for i in self.best_candidates(&prune, room) {
+            let large = largest_scale(gaussians, i) > self.config.split_scale * extent;
+            if large { split.push(i) } else { clone.push(i) }
+        }
+        DensityPlan { clone, split, prune }
+    }
+
+    /// Candidates for growth, at most `room` (each adds one Gaussian), ascending.
+    fn best_candidates(&self, prune: &[bool], room: usize) -> Vec<usize> {
+        let grows = |i: &usize| !prune[*i] && self.mean_gradient(*i) >= self.config.grow_gradient;
+        let mut candidates: Vec<usize> = (0..prune.len()).filter(grows).collect();
+        if candidates.len() > room {
+            candidates
+                .sort_by(|&a, &b| self.mean_gradient(b).total_cmp(&self.mean_gradient(a)).then(a.cmp(&b)));
+            candidates.truncate(room);
+            candidates.sort_unstable();
+        }
+        candidates
+    }
+
+    fn mean_gradient(&self, i: usize) -> f32 {
+        if self.views[i] == 0 { 0.0 } else { self.gradient_sums[i] / self.views[i] as f32 }
+    }
+
+    /// NaN opacities and scales are removed as well.
+    fn is_pruned(&self, gaussians: &Gaussians, extent: f32, i: usize) -> bool {
+        let opaque = sigmoid(gaussians.opacity_logits[i]) >= self.config.prune_opacity;
+        let small = largest_scale(gaussians, i) <= self.config.prune_scale * extent;
+        !(opaque && small && self.radii[i] <= self.config.prune_radius)
+    }
+
+    /// Carries out a plan and starts the statistics anew. Kept Gaussians come first in their old order, then clones,
+    /// then children of splits. The caller passes the map on to `Adam::remap` and to its own columns.
+    pub fn apply(&mut self, plan: &DensityPlan, gaussians: &mut Gaussians) -> IndexMap {
+        let mut gone = plan.prune.clone();
+        plan.split.iter().for_each(|&i| gone[i] = true);
+        let mut sources: Vec<usize> = (0..gaussians.len()).filter(|&i| !gone[i]).collect();
+        let mut keeps_moments = vec![true; sources.len()];
+        sources.extend(&plan.clone);
+        let first_child = sources.len();
+        sources.extend(plan.split.iter().flat_map(|&i| [i; CHILDREN]));
+        keeps_moments.resize(sources.len(), false);
+        *gaussians = gaussians.select(&sources);
+        for i in first_child..sources.len() {
+            self.make_child(gaussians, i);
+        }
+        self.restart(sources.len());
+        IndexMap { sources, keeps_moments }
+    }
+
+    /// Turns a copy of the parent into a child: a sample of the parent's density, scale divided by 1.6.
+    fn make_child(&mut self, gaussians: &mut Gaussians, i: usize) {
+        let scale = Vec3::from(gaussians.log_scales[i]).exp();
+        let offset = scale * Vec3::from_array(std::array::from_fn(|_| self.normal()));
+        let [w, x, y, z] = gaussians.quats[i];
+        let rotation = Quat::from_xyzw(x, y, z, w);
+        let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { Quat::IDENTITY };
+        gaussians.means[i] = (Vec3::from(gaussians.means[i]) + rotation * offset).to_array();
+        gaussians.log_scales[i] = gaussians.log_scales[i].map(|s| s - CHILD_SHRINK.ln());
+    }
+
+    /// A standard normal sample (Box-Muller).
+    fn normal(&mut self) -> f32 {
+        let (radius, angle): (f32, f32) = (self.rng.random(), self.rng.random());
+        // 1 - u lies in (0, 1], so that the logarithm is finite.
+        (-2.0 * (1.0 - radius).ln()).sqrt() * (std::f32::consts::TAU * angle).cos()
+    }
+
+    fn restart(&mut self, n: usize) {
+        self.gradient_sums.clear();
+        self.gradient_sums.resize(n, 0.0);
+        self.views.clear();
+        self.views.resize(n, 0);
+        self.radii.clear();
+        self.radii.resize(n, 0.0);
+    }
+}
+
+fn largest_scale(gaussians: &Gaussians, i: usize) -> f32 {
+    Vec3::from(gaussians.log_scales[i]).max_element().exp()
+}
+
+/// Lowers every opacity to at most `ceiling` (3DGS: 0.01); call `Adam::reset_opacity` with it.
+pub fn reset_opacities(gaussians: &mut Gaussians, ceiling: f32) {
+    let limit = logit(ceiling);
+    gaussians.opacity_logits.iter_mut().for_each(|o| *o = o.min(limit));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gaussian 0 small and moving, 1 large and moving, 2 at rest, 3 transparent, 4 too large.
+    fn scene() -> Gaussians {
+        let mut g = Gaussians::zeros(5, 1);
+        g.quats.fill([1.0, 0.0, 0.0, 0.0]);
+        g.log_scales.fill([0.001f32.ln(); 3]);
+        g.log_scales[1] = [0.05f32.ln(), 0.001f32.ln(), 0.001f32.ln()];
+        g.log_scales[4] = [0.5f32.ln(); 3];
+        g.opacity_logits[3] = logit(0.001);
+        g
+    }
+
+    fn observed(config: DensityConfig) -> DensityControl {
+        let mut control = DensityControl::new(config, 5, 7);
+        let gradient_norms = &[3e-4, 5e-4, 1e-4, 1e-3, 1e-3];
+        let view = ViewStatistics { gradient_norms, visible: &[true; 5], radii: &[1.0; 5] };
+        control.observe(&view);
+        control.observe(&ViewStatistics { visible: &[false; 5], ..view });
+        control
+    }
+
+    #[test]
+    fn grows_by_size_and_removes() {
+        let mut g = scene();
+        let parent = g.clone();
+        let mut control = observed(DensityConfig::default());
+        let plan = control.plan(&g, 1.0);
+        assert_eq!((&plan.clone[..], &plan.split[..]), (&[0][..], &[1][..]));
+        assert_eq!(plan.prune, [false, false, false, true, true]);
+        let map = control.apply(&plan, &mut g);
+        assert_eq!(map.sources, [0, 2, 0, 1, 1]);
+        assert_eq!(map.kept(), 2);
+        assert_eq!(map.carry(&['a', 'b', 'c', 'd', 'e']), ['a', 'c', 'a', 'b', 'b']);
+        g.validate().unwrap();
+        assert_eq!(g.means[2], parent.means[0]);
+        assert_ne!(g.means[3], g.means[4]);
+        assert!((g.log_scales[3][0] - (0.05f32 / 1.6).ln()).abs() < 1e-6);
+        assert!(g.means[3][0].abs() < 5.0 * 0.05 && g.means[3][1].abs() < 5.0 * 0.001);
+    }
+
+    #[test]
+    fn the_cap_admits_the_largest_gradients() {
+        let config = DensityConfig { max_gaussians: 4, ..DensityConfig::default() };
+        let plan = observed(config).plan(&scene(), 1.0);
+        assert_eq!((plan.clone.len(), plan.split), (0, vec![1]));
+    }
+
+    #[test]
+    fn one_seed_one_result() {
+        let run = || {
+            let (mut g, mut control) = (scene(), observed(DensityConfig::default()));
+            let plan = control.plan(&g, 1.0);
+            control.apply(&plan, &mut g);
+            g
+        };
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn opacities_are_lowered_never_raised() {
+        let mut g = scene();
+        reset_opacities(&mut g, 0.01);
+        assert!((sigmoid(g.opacity_logits[0]) - 0.01).abs() < 1e-6);
+        assert!((sigmoid(g.opacity_logits[3]) - 0.001).abs() < 1e-6);
+    }
+}
