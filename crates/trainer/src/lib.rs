@@ -4,9 +4,13 @@
 
 mod adam;
 mod densify;
+mod initialise;
 mod loss;
 mod simd;
+mod sky;
 
 pub use adam::{Adam, AdamVec, LearningRates, Update};
 pub use densify::{DensityConfig, DensityControl, DensityPlan, IndexMap, ViewStatistics, reset_opacities};
+pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};
+pub use sky::{SkyCube, SkyObservation, SkyView};

@@ -1,0 +1,382 @@
+//! The sky: a cube map at infinity, bilinear, optimised through the transmittance that the Gaussians leave.
+//!
+//! Faces in the order +x, -x, +y, -y, +z, -z of the world with OpenGL's orientation. Bilinear weights are clamped at
+//! the edge of a face: colour is constant over the outer half texel, and no texel is shared by two faces.
+
+use ffgs_core::{Camera, ImageRgb8, ImageSize, PlanarImage};
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Colour of texels of which nothing is known.
+const GREY: [f32; 3] = [0.5; 3];
+/// Pixels of one parallel task.
+const CHUNK: usize = 4096;
+
+/// A cube map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkyCube {
+    face_size: usize,
+    /// RGB of the texels, face by face, row by row: (6 * face_size * face_size). Values are not clamped.
+    pub texels: Vec<[f32; 3]>,
+}
+
+/// What one view shows of the sky, to initialise it from.
+#[derive(Clone, Copy, Debug)]
+pub struct SkyObservation<'a> {
+    /// Texels that each pixel sees.
+    pub view: &'a SkyView,
+    /// The photograph.
+    pub image: &'a ImageRgb8,
+    /// Transmittance the Gaussians leave, (H * W).
+    pub transmittance: &'a [f32],
+}
+
+impl SkyCube {
+    /// A cube of one colour; `face_size` at least 1.
+    pub fn filled(face_size: usize, colour: [f32; 3]) -> Self {
+        assert!(face_size >= 1, "empty sky faces");
+        Self { face_size, texels: vec![colour; 6 * face_size * face_size] }
+    }
+
+    /// Texels along the edge of a face.
+    pub fn face_size(&self) -> usize {
+        self.face_size
+    }
+
+    /// Average of the pixels with at least `min_transmittance`; where there are none, a colour linear in the height
+    /// above the horizon, fitted to the texels that were seen (`up`: the world's up direction, unit).
+    pub fn from_observations(
+        face_size: usize,
+        up: [f32; 3],
+        min_transmittance: f32,
+        observations: &[SkyObservation],
+    ) -> Self {
+        let mut sums = vec![[0.0f64; 4]; 6 * face_size * face_size];
+        observations.iter().for_each(|o| accumulate(&mut sums, o, min_transmittance));
+        let mut cube = Self::filled(face_size, GREY);
+        let height = |texel| Vec3::from(up).dot(texel_direction(face_size, texel)).into();
+        let fit = VerticalFit::new(&sums, height);
+        for (texel, (out, sum)) in cube.texels.iter_mut().zip(&sums).enumerate() {
+            *out = mean_colour(sum).unwrap_or_else(|| fit.colour(height(texel))).map(|v| v as f32);
+        }
+        cube
+    }
+
+    /// Draws what `view` sees.
+    ///
+    /// # Panics
+    /// When `view` was made for another face size.
+    pub fn render(&self, view: &SkyView, out: &mut PlanarImage) {
+        assert_eq!(view.face_size, self.face_size, "face size");
+        if out.size() != view.size {
+            out.reset(view.size);
+        }
+        let (red, rest) = out.data_mut().split_at_mut(view.size.pixels());
+        let (green, blue) = rest.split_at_mut(view.size.pixels());
+        red.par_chunks_mut(CHUNK)
+            .zip(green.par_chunks_mut(CHUNK))
+            .zip(blue.par_chunks_mut(CHUNK))
+            .zip(view.samples.par_chunks(CHUNK))
+            .for_each(|(((red, green), blue), samples)| {
+                for (i, sample) in samples.iter().enumerate() {
+                    [red[i], green[i], blue[i]] = self.colour(sample);
+                }
+            });
+    }
+
+    fn colour(&self, sample: &Sample) -> [f32; 3] {
+        let mut sum = Vec3::ZERO;
+        for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
+            sum += weight * Vec3::from(self.texels[texel as usize]);
+        }
+        sum.to_array()
+    }
+
+    /// The six faces as 8-bit images, clamped to 0..=1.
+    pub fn to_faces_rgb8(&self) -> [ImageRgb8; 6] {
+        let size = ImageSize { width: self.face_size, height: self.face_size };
+        std::array::from_fn(|face| {
+            let texels = &self.texels[face * size.pixels()..(face + 1) * size.pixels()];
+            let quantise = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+            let data = texels.as_flattened().iter().map(quantise).collect();
+            ImageRgb8::new(size, data).expect("three bytes a texel")
+        })
+    }
+}
+
+fn accumulate(sums: &mut [[f64; 4]], observation: &SkyObservation, min_transmittance: f32) {
+    for (i, sample) in observation.view.samples.iter().enumerate() {
+        if !(observation.transmittance[i] >= min_transmittance) {
+            continue;
+        }
+        let [r, g, b] = observation.image.pixel(i).map(f64::from);
+        for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
+            let weight = f64::from(weight);
+            let sum = &mut sums[texel as usize];
+            sum.iter_mut().zip([r, g, b, 1.0]).for_each(|(s, v)| *s += weight * v);
+        }
+    }
+}
+
+/// Mean of a sum (r, g, b, weight); `None` below a weight that carries a colour.
+fn mean_colour(sum: &[f64; 4]) -> Option<[f64; 3]> {
+    const MIN_WEIGHT: f64 = 1e-3;
+    (sum[3] > MIN_WEIGHT).then(|| [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3]])
+}
+
+/// Colour as a linear function of height, least squares over the texels that were seen.
+struct VerticalFit {
+    mean_height: f64,
+    mean: [f64; 3],
+    slope: [f64; 3],
+}
+
+impl VerticalFit {
+    fn new(sums: &[[f64; 4]], height: impl Fn(usize) -> f64) -> Self {
+        let seen = || sums.iter().enumerate().filter_map(|(i, s)| Some((height(i), mean_colour(s)?)));
+        let count = seen().count() as f64;
+        if count == 0.0 {
+            return Self { mean_height: 0.0, mean: GREY.map(f64::from), slope: [0.0; 3] };
+        }
+        let mean_height = seen().map(|(h, _)| h).sum::<f64>() / count;
+        let mean = [0, 1, 2].map(|c| seen().map(|(_, colour)| colour[c]).sum::<f64>() / count);
+        let spread: f64 = seen().map(|(h, _)| (h - mean_height).powi(2)).sum();
+        let covariance =
+            |c: usize| seen().map(|(h, colour)| (h - mean_height) * (colour[c] - mean[c])).sum::<f64>();
+        let slope = [0, 1, 2].map(|c| if spread > 1e-6 * count { covariance(c) / spread } else { 0.0 });
+        Self { mean_height, mean, slope }
+    }
+
+    fn colour(&self, height: f64) -> [f64; 3] {
+        [0, 1, 2].map(|c| (self.mean[c] + self.slope[c] * (height - self.mean_height)).clamp(0.0, 1.0))
+    }
+}
+
+/// The four texels of a pixel and their weights, which sum to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Sample {
+    texels: [u32; 4],
+    weights: [f32; 4],
+}
+
+/// Which texels every pixel of a camera sees: 32 bytes a pixel. Depends on the camera's rotation only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkyView {
+    size: ImageSize,
+    face_size: usize,
+    samples: Vec<Sample>,
+    texels: Vec<u32>,
+}
+
+impl SkyView {
+    /// Traces the ray through every pixel centre.
+    pub fn new(camera: &Camera, face_size: usize) -> Self {
+        let size = camera.size();
+        let trace = |i: usize| {
+            let centre = DVec2::new((i % size.width) as f64 + 0.5, (i / size.width) as f64 + 0.5);
+            sample_of(camera.ray(centre), face_size)
+        };
+        let samples: Vec<Sample> = (0..size.pixels()).into_par_iter().map(trace).collect();
+        let mut seen = vec![false; 6 * face_size * face_size];
+        samples.iter().flat_map(|s| s.texels).for_each(|t| seen[t as usize] = true);
+        let texels = (0..seen.len() as u32).filter(|&t| seen[t as usize]).collect();
+        Self { size, face_size, samples, texels }
+    }
+
+    /// Image size.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Texels that this view sees, ascending: those to flag for a sparse Adam step and to clear after it.
+    pub fn texels(&self) -> &[u32] {
+        &self.texels
+    }
+
+    /// Adds the gradient by the texels to `texel_gradient` (6 * face_size^2), given the gradient by the pixels of
+    /// [`SkyCube::render`] (that by the composite times the transmittance). Serial, so that the order of sums is fixed.
+    ///
+    /// # Panics
+    /// When a size does not match.
+    pub fn backward(&self, pixel_gradient: &PlanarImage, texel_gradient: &mut [[f32; 3]]) {
+        assert_eq!(pixel_gradient.size(), self.size, "gradient size");
+        assert_eq!(texel_gradient.len(), 6 * self.face_size * self.face_size, "texels");
+        let [red, green, blue] = [0, 1, 2].map(|c| pixel_gradient.plane(c));
+        for (i, sample) in self.samples.iter().enumerate() {
+            let gradient = Vec3::new(red[i], green[i], blue[i]);
+            if gradient == Vec3::ZERO {
+                continue;
+            }
+            for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
+                let sum = &mut texel_gradient[texel as usize];
+                *sum = (Vec3::from(*sum) + weight * gradient).to_array();
+            }
+        }
+    }
+}
+
+fn sample_of(direction: DVec3, face_size: usize) -> Sample {
+    let (face, s, t) = face_coordinates(direction);
+    let (column, row) = (Bilinear::new(s, face_size), Bilinear::new(t, face_size));
+    let at = |y: usize, x: usize| ((face * face_size + y) * face_size + x) as u32;
+    let (right, below) = (column.fraction, row.fraction);
+    Sample {
+        texels: [
+            at(row.low, column.low),
+            at(row.low, column.high),
+            at(row.high, column.low),
+            at(row.high, column.high),
+        ],
+        weights: [(1.0 - below) * (1.0 - right), (1.0 - below) * right, below * (1.0 - right), below * right],
+    }
+}
+
+/// Two neighbouring texels along one axis.
+struct Bilinear {
+    low: usize,
+    high: usize,
+    fraction: f32,
+}
+
+impl Bilinear {
+    /// `s` in -1..=1 across a face of `size` texels.
+    fn new(s: f64, size: usize) -> Self {
+        let position = ((s + 1.0) / 2.0 * size as f64 - 0.5).clamp(0.0, (size - 1) as f64);
+        let low = position as usize;
+        Self { low, high: (low + 1).min(size - 1), fraction: (position - low as f64) as f32 }
+    }
+}
+
+/// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19).
+fn face_coordinates(d: DVec3) -> (usize, f64, f64) {
+    let size = d.abs();
+    if size.x >= size.y && size.x >= size.z {
+        if d.x > 0.0 { (0, -d.z / size.x, -d.y / size.x) } else { (1, d.z / size.x, -d.y / size.x) }
+    } else if size.y >= size.z {
+        if d.y > 0.0 { (2, d.x / size.y, d.z / size.y) } else { (3, d.x / size.y, -d.z / size.y) }
+    } else if d.z > 0.0 {
+        (4, d.x / size.z, -d.y / size.z)
+    } else {
+        (5, -d.x / size.z, -d.y / size.z)
+    }
+}
+
+/// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
+fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
+    let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
+    let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
+    let direction = match texel / (face_size * face_size) {
+        0 => Vec3::new(1.0, -t, -s),
+        1 => Vec3::new(-1.0, -t, s),
+        2 => Vec3::new(s, 1.0, t),
+        3 => Vec3::new(s, -1.0, -t),
+        4 => Vec3::new(s, -t, 1.0),
+        _ => Vec3::new(-s, -t, -1.0),
+    };
+    direction.normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::Intrinsics;
+    use glam::{DMat4, EulerRot};
+
+    const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
+
+    fn camera(yaw: f64, pitch: f64) -> Camera {
+        let intrinsics = Intrinsics { fx: 20.0, fy: 22.0, cx: 23.0, cy: 17.0 };
+        Camera::new(intrinsics, DMat4::from_euler(EulerRot::XYZ, pitch, yaw, 0.2), SIZE).unwrap()
+    }
+
+    fn cameras() -> Vec<Camera> {
+        let angles = [(0.0, 0.0), (1.5, 0.1), (3.1, -0.3), (4.5, 0.0), (0.3, 1.5), (0.9, -1.4)];
+        angles.map(|(yaw, pitch)| camera(yaw, pitch)).to_vec()
+    }
+
+    /// A smooth colour in 0.2..0.8.
+    fn colour(d: Vec3) -> [f32; 3] {
+        (0.5 + 0.3 * d).to_array()
+    }
+
+    fn painted(face_size: usize) -> SkyCube {
+        let mut cube = SkyCube::filled(face_size, GREY);
+        for (i, texel) in cube.texels.iter_mut().enumerate() {
+            *texel = colour(texel_direction(face_size, i));
+        }
+        cube
+    }
+
+    #[test]
+    fn renders_a_known_function_in_every_direction() {
+        let cube = painted(64);
+        let mut image = PlanarImage::zeros(SIZE);
+        for camera in cameras() {
+            cube.render(&SkyView::new(&camera, 64), &mut image);
+            for i in 0..SIZE.pixels() {
+                let centre = DVec2::new((i % 48) as f64 + 0.5, (i / 48) as f64 + 0.5);
+                let want = colour(camera.ray(centre).as_vec3());
+                // Half a texel at an edge: 1/64 of a unit of direction times the slope 0.3.
+                let error = (Vec3::from(image.pixel(i)) - Vec3::from(want)).abs().max_element();
+                assert!(error < 0.3 / 64.0, "pixel {i}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_gradient_matches_finite_differences() {
+        let view = SkyView::new(&camera(0.8, 0.3), 8);
+        let mut cube = painted(8);
+        let mut weights = PlanarImage::zeros(SIZE);
+        weights.data_mut().iter_mut().enumerate().for_each(|(i, w)| *w = (i as f32 * 0.37).sin());
+        let mut gradient = vec![[0.0; 3]; cube.texels.len()];
+        view.backward(&weights, &mut gradient);
+        let mut image = PlanarImage::zeros(SIZE);
+        let mut objective = |cube: &SkyCube| -> f64 {
+            cube.render(&view, &mut image);
+            image.data().iter().zip(weights.data()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+        };
+        for t in (0..cube.texels.len()).step_by(7) {
+            let before = objective(&cube);
+            cube.texels[t][1] += 1.0;
+            let difference = objective(&cube) - before;
+            cube.texels[t][1] -= 1.0;
+            assert!((difference - f64::from(gradient[t][1])).abs() < 1e-4, "texel {t}");
+            assert!(gradient[t][1] == 0.0 || view.texels().binary_search(&(t as u32)).is_ok());
+        }
+    }
+
+    #[test]
+    fn initialisation_averages_what_is_seen_and_extends_it_by_height() {
+        let truth = |height: f32| [0.5 + 0.3 * height, 0.4, 0.6 - 0.2 * height];
+        let camera = camera(0.0, 0.3);
+        let view = SkyView::new(&camera, 16);
+        let mut image = PlanarImage::zeros(SIZE);
+        for i in 0..SIZE.pixels() {
+            let ray = camera.ray(DVec2::new((i % 48) as f64 + 0.5, (i / 48) as f64 + 0.5));
+            image.set_pixel(i, truth(-ray.y as f32));
+        }
+        let image = ImageRgb8::from(&image);
+        let mut transmittance = vec![1.0; SIZE.pixels()];
+        transmittance[..SIZE.width].fill(f32::NAN);
+        let observation = SkyObservation { view: &view, image: &image, transmittance: &transmittance };
+        let cube = SkyCube::from_observations(16, [0.0, -1.0, 0.0], 0.9, &[observation]);
+        for (t, texel) in cube.texels.iter().enumerate() {
+            let want = truth(-texel_direction(16, t).y);
+            assert!(
+                (Vec3::from(*texel) - Vec3::from(want)).abs().max_element() < 0.06,
+                "{t}: {texel:?} {want:?}"
+            );
+        }
+        assert_eq!(SkyCube::from_observations(2, [0.0, 0.0, 1.0], 0.9, &[]).texels, vec![GREY; 24]);
+    }
+
+    #[test]
+    fn faces_are_clamped() {
+        let mut cube = SkyCube::filled(2, [1.5, -1.0, 0.5]);
+        cube.texels[4] = [0.0; 3];
+        let faces = cube.to_faces_rgb8();
+        assert_eq!(faces[0].data()[..3], [255, 0, 128]);
+        assert_eq!(faces[1].data()[..3], [0, 0, 0]);
+    }
+}
