@@ -1,0 +1,269 @@
+use crate::{SizeMismatch, same_size};
+use ffgs_core::{ImageRgb8, PlanarImage};
+use rayon::prelude::*;
+use thiserror::Error;
+
+/// Taps of the separable Gaussian window.
+pub const WINDOW: usize = 11;
+const RADIUS: usize = WINDOW / 2;
+const SIGMA: f64 = 1.5;
+/// Stabilisers (K1 L)^2 and (K2 L)^2 with K1 = 0.01, K2 = 0.03 and range L = 1 (Wang et al. 2004).
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+/// Share of 1 - SSIM in the 3DGS loss (Kerbl et al. 2023, eq. 7).
+const LAMBDA: f64 = 0.2;
+
+/// What happens at the image border.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Border {
+    /// The images are zero outside; the map has the size of the image (the 3DGS convention).
+    Same,
+    /// Only windows that lie wholly in the image count; the map is 10 pixels smaller in each direction.
+    Valid,
+}
+
+impl Border {
+    fn margin(self) -> usize {
+        match self {
+            Self::Same => 0,
+            Self::Valid => RADIUS,
+        }
+    }
+}
+
+/// Why two images cannot be compared.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum SsimError {
+    /// A slice does not hold `channels * height * width` values, or that is zero.
+    #[error("images of {channels}x{height}x{width} need as many values (at least one), found {found:?}")]
+    Length {
+        /// Channels C.
+        channels: usize,
+        /// Rows H.
+        height: usize,
+        /// Columns W.
+        width: usize,
+        /// Lengths of the two slices.
+        found: [usize; 2],
+    },
+    /// No window fits in the image ([`Border::Valid`] only).
+    #[error("an image of {height}x{width} is smaller than the {WINDOW}x{WINDOW} window")]
+    SmallerThanWindow {
+        /// Rows H.
+        height: usize,
+        /// Columns W.
+        width: usize,
+    },
+}
+
+/// Two images of one shape, (C, H, W) row-major slices with values nominally in [0, 1]. Invariant: equal, matching
+/// lengths and at least one value.
+#[derive(Clone, Copy, Debug)]
+pub struct SsimPair<'a> {
+    shape: [usize; 3],
+    rendered: &'a [f32],
+    target: &'a [f32],
+}
+
+impl<'a> SsimPair<'a> {
+    /// `shape` is [C, H, W]; both slices hold C * H * W values.
+    pub fn new(shape: [usize; 3], rendered: &'a [f32], target: &'a [f32]) -> Result<Self, SsimError> {
+        let [channels, height, width] = shape;
+        let found = [rendered.len(), target.len()];
+        let values = channels.checked_mul(height).and_then(|n| n.checked_mul(width)).unwrap_or(0);
+        if values == 0 || found != [values; 2] {
+            return Err(SsimError::Length { channels, height, width, found });
+        }
+        Ok(Self { shape, rendered, target })
+    }
+
+    /// Number of map values that the mean runs over.
+    fn map_size(&self, border: Border) -> Result<usize, SsimError> {
+        let [channels, height, width] = self.shape;
+        let margin = 2 * border.margin();
+        if height <= margin || width <= margin {
+            return Err(SsimError::SmallerThanWindow { height, width });
+        }
+        Ok(channels * (height - margin) * (width - margin))
+    }
+
+    fn channel(&self, c: usize) -> Channel<'a> {
+        let [_, height, width] = self.shape;
+        let range = c * height * width..(c + 1) * height * width;
+        Channel { height, width, rendered: &self.rendered[range.clone()], target: &self.target[range] }
+    }
+}
+
+/// A mean or loss, and its gradient with respect to the rendered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LossAndGradient {
+    /// The value.
+    pub value: f64,
+    /// (C, H, W) derivative of `value` with respect to the rendered image.
+    pub gradient: Vec<f64>,
+    /// (C, h, w) SSIM map; (h, w) is smaller than (H, W) by 10 with [`Border::Valid`].
+    pub map: Vec<f64>,
+}
+
+/// Mean SSIM over all channels and map pixels.
+pub fn ssim(images: SsimPair<'_>, border: Border) -> Result<f64, SsimError> {
+    let count = images.map_size(border)?;
+    let sums: Vec<f64> =
+        (0..images.shape[0]).into_par_iter().map(|c| images.channel(c).sum_of_map(border)).collect();
+    Ok(sums.iter().sum::<f64>() / count as f64)
+}
+
+/// Mean SSIM with its map and its gradient with respect to the rendered image.
+pub fn ssim_and_gradient(images: SsimPair<'_>, border: Border) -> Result<LossAndGradient, SsimError> {
+    let count = images.map_size(border)? as f64;
+    let parts: Vec<(Vec<f64>, Vec<f64>)> =
+        (0..images.shape[0]).into_par_iter().map(|c| images.channel(c).map_and_gradient(border)).collect();
+    let (maps, gradients): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let map = maps.concat();
+    let gradient = gradients.concat().into_iter().map(|g| g / count).collect();
+    Ok(LossAndGradient { value: map.iter().sum::<f64>() / count, gradient, map })
+}
+
+/// The 3DGS loss 0.8 L1 + 0.2 (1 - SSIM), both means over all values, SSIM with [`Border::Same`].
+/// The gradient of |0| is 0.
+pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
+    let LossAndGradient { value, gradient, map } = ssim_and_gradient(images, Border::Same)?;
+    let count = gradient.len() as f64;
+    let difference = |i: usize| f64::from(images.rendered[i]) - f64::from(images.target[i]);
+    let l1 = (0..gradient.len()).map(|i| difference(i).abs()).sum::<f64>() / count;
+    let sign = |d: f64| if d == 0.0 { 0.0 } else { d.signum() };
+    let combine = |(i, g): (usize, f64)| (1.0 - LAMBDA) * sign(difference(i)) / count - LAMBDA * g;
+    let gradient = gradient.into_iter().enumerate().map(combine).collect();
+    Ok(LossAndGradient { value: (1.0 - LAMBDA) * l1 + LAMBDA * (1.0 - value), gradient, map })
+}
+
+/// Mean SSIM ([`Border::Same`]) of a render, clamped to [0, 1], against an 8-bit target.
+pub fn image_ssim(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
+    same_size(rendered.size(), target.size())?;
+    let size = rendered.size();
+    let clamped: Vec<f32> = rendered.data().iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    let target = PlanarImage::from(target);
+    let pair = SsimPair { shape: [3, size.height, size.width], rendered: &clamped, target: target.data() };
+    // Equal sizes with at least one pixel: `Border::Same` cannot fail.
+    Ok(ssim(pair, Border::Same).unwrap_or(0.0))
+}
+
+#[derive(Clone, Copy)]
+struct Channel<'a> {
+    height: usize,
+    width: usize,
+    rendered: &'a [f32],
+    target: &'a [f32],
+}
+
+/// Local moments under the window: means, and means of the squares and the product.
+struct Moments {
+    mean: [Vec<f64>; 2],
+    square: [Vec<f64>; 2],
+    product: Vec<f64>,
+}
+
+/// SSIM at one pixel and its derivatives by the rendered image's mean, mean square and mean product.
+struct Local {
+    ssim: f64,
+    by_mean: f64,
+    by_square: f64,
+    by_product: f64,
+}
+
+impl Channel<'_> {
+    fn sum_of_map(&self, border: Border) -> f64 {
+        let moments = self.moments();
+        self.inside(border).map(|i| moments.at(i).ssim).sum()
+    }
+
+    /// The map, and the gradient of its sum. The window is symmetric and the padding zero, so the adjoint of the
+    /// filter is the filter itself.
+    fn map_and_gradient(&self, border: Border) -> (Vec<f64>, Vec<f64>) {
+        let moments = self.moments();
+        let pixels = self.height * self.width;
+        let mut by = [vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]];
+        let mut map = Vec::with_capacity(pixels);
+        for i in self.inside(border) {
+            let local = moments.at(i);
+            map.push(local.ssim);
+            [by[0][i], by[1][i], by[2][i]] = [local.by_mean, local.by_square, local.by_product];
+        }
+        let [mean, square, product] = by.map(|plane| self.filter(&plane));
+        let chain = |i: usize| {
+            mean[i] + 2.0 * f64::from(self.rendered[i]) * square[i] + f64::from(self.target[i]) * product[i]
+        };
+        (map, (0..pixels).map(chain).collect())
+    }
+
+    /// Indices of the map's pixels, row by row.
+    fn inside(&self, border: Border) -> impl Iterator<Item = usize> + use<> {
+        let (margin, width) = (border.margin(), self.width);
+        let columns = margin..width - margin;
+        (margin..self.height - margin).flat_map(move |y| columns.clone().map(move |x| y * width + x))
+    }
+
+    fn moments(&self) -> Moments {
+        let filtered = |a: &[f32], b: &[f32]| {
+            let product: Vec<f64> = a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).collect();
+            self.filter(&product)
+        };
+        let mean = |a: &[f32]| self.filter(&a.iter().copied().map(f64::from).collect::<Vec<_>>());
+        Moments {
+            mean: [mean(self.rendered), mean(self.target)],
+            square: [filtered(self.rendered, self.rendered), filtered(self.target, self.target)],
+            product: filtered(self.rendered, self.target),
+        }
+    }
+
+    /// Convolution with the window, zero outside the image.
+    fn filter(&self, plane: &[f64]) -> Vec<f64> {
+        let taps = window();
+        let mut rows = vec![0.0; plane.len()];
+        for (out, row) in rows.chunks_exact_mut(self.width).zip(plane.chunks_exact(self.width)) {
+            for (x, out) in out.iter_mut().enumerate() {
+                *out = reach(x, self.width).map(|j| taps[j + RADIUS - x] * row[j]).sum();
+            }
+        }
+        let mut out = vec![0.0; plane.len()];
+        for (y, line) in out.chunks_exact_mut(self.width).enumerate() {
+            for j in reach(y, self.height) {
+                let tap = taps[j + RADIUS - y];
+                let source = &rows[j * self.width..(j + 1) * self.width];
+                line.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
+            }
+        }
+        out
+    }
+}
+
+impl Moments {
+    fn at(&self, i: usize) -> Local {
+        let [m1, m2] = [self.mean[0][i], self.mean[1][i]];
+        let s1 = self.square[0][i] - m1 * m1;
+        let s2 = self.square[1][i] - m2 * m2;
+        let s12 = self.product[i] - m1 * m2;
+        let (a, b) = (2.0 * m1 * m2 + C1, 2.0 * s12 + C2);
+        let (c, d) = (m1 * m1 + m2 * m2 + C1, s1 + s2 + C2);
+        let ssim = a * b / (c * d);
+        let by_square = -ssim / d;
+        let by_product = 2.0 * a / (c * d);
+        let by_mean = 2.0 * m2 * b / (c * d) - 2.0 * m1 * ssim / c - 2.0 * m1 * by_square - m2 * by_product;
+        Local { ssim, by_mean, by_square, by_product }
+    }
+}
+
+/// Positions within the window's reach of `i` that lie in `0..n`.
+fn reach(i: usize, n: usize) -> std::ops::Range<usize> {
+    i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(n)
+}
+
+fn window() -> [f64; WINDOW] {
+    let mut taps = [0.0; WINDOW];
+    for (i, tap) in taps.iter_mut().enumerate() {
+        let distance = i as f64 - RADIUS as f64;
+        *tap = (-distance * distance / (2.0 * SIGMA * SIGMA)).exp();
+    }
+    let sum: f64 = taps.iter().sum();
+    taps.map(|t| t / sum)
+}
