@@ -60,7 +60,7 @@ fn tests(root: &Path) -> Result<String> {
     if nextest.is_ok_and(|output| output.status.success()) {
         return cargo(root, &["nextest", "run", "--workspace", "--no-fail-fast"]);
     }
-    cargo(root, &["test", "--workspace", "--all-targets", "--no-fail-fast"])
+    cargo(root, &["test", "--workspace", "--lib", "--bins", "--tests", "--no-fail-fast"])
 }
 
 /// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.

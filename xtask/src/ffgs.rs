@@ -36,10 +36,10 @@ pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
 /// Builds the release binary and returns its path.
 pub fn build(root: &Path) -> Result<PathBuf> {
     let mut command = workspace::cargo(root);
-    command.args(["build", "--release", "--quiet", "-p", "ffgs-pipeline", "--bin", "ffgs"]);
-    // A first build takes minutes: say what the silence is.
-    if !binary(root).is_file() {
-        println!("building ffgs in release (a few minutes the first time)");
+    command.args(["build", "--release", "-p", "ffgs-pipeline", "--bin", "ffgs"]);
+    // A first build takes minutes and shows its progress; later ones leave the screen to the program.
+    if binary(root).is_file() {
+        command.arg("--quiet");
     }
     let status = command.status().context("cannot start cargo")?;
     ensure!(status.success(), "the build of ffgs failed");

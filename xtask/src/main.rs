@@ -20,8 +20,7 @@ struct Cli {
 }
 
 const AFTER_HELP: &str = "\
-Every command of the program itself passes through: the program is built in release and started with the same
-arguments, for example
+Every command of the program itself passes through, with the program built in release first:
   cargo xtask check CAPTURE                     what a capture holds, and every fault in it
   cargo xtask stage NAME --input in.npz --output out.npz
   cargo xtask render RUN --frame 3 --orbit
@@ -58,7 +57,7 @@ const PIPELINE_HELP: &str = "\
 Examples:
   cargo xtask pipeline                                  the sample capture, into out/fairmont-mini
   cargo xtask pipeline path/to/capture --out out/mine   your own capture
-  cargo xtask pipeline --frames 0..3 --iterations 100   the sample capture, fewer frames and iterations
+  cargo xtask pipeline --frames 0..3 --iterations 100   the sample, but less work
   cargo xtask pipeline --resume                         go on after an interruption
 `cargo xtask run --help` lists every option of the run.";
 

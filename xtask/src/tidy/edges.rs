@@ -71,25 +71,27 @@ fn parse_line(line: &str) -> Result<(String, BTreeSet<String>), Finding> {
 }
 
 fn compare(stated: &Edges, found: &Edges) -> Vec<Finding> {
-    let none = BTreeSet::new();
     let names: BTreeSet<&String> = stated.keys().chain(found.keys()).collect();
-    let mut findings = Vec::new();
-    for name in names {
-        if !stated.contains_key(name) {
-            findings.push(format!("{DOCUMENT}: crate {name} is not in the edge table"));
-        }
-        if !found.contains_key(name) {
-            findings
-                .push(format!("{DOCUMENT}: the edge table names {name}, the workspace has no such crate"));
-        }
-        let (wanted, real) = (stated.get(name).unwrap_or(&none), found.get(name).unwrap_or(&none));
-        findings
-            .extend(real.difference(wanted).map(|to| format!("edge {name} -> {to} is not in {DOCUMENT}")));
-        findings.extend(
-            wanted.difference(real).map(|to| format!("edge {name} -> {to} of {DOCUMENT} does not exist")),
-        );
-    }
-    findings
+    names.into_iter().flat_map(|name| compare_crate(name, stated.get(name), found.get(name))).collect()
+}
+
+fn compare_crate(
+    name: &str,
+    stated: Option<&BTreeSet<String>>,
+    found: Option<&BTreeSet<String>>,
+) -> Vec<Finding> {
+    let (Some(stated), Some(found)) = (stated, found) else {
+        let holder = if stated.is_some() {
+            "the edge table, not in the workspace"
+        } else {
+            "the workspace, not in the edge table"
+        };
+        return vec![format!("{DOCUMENT}: crate {name} is in {holder}")];
+    };
+    let unstated = found.difference(stated).map(|to| format!("edge {name} -> {to} is not in {DOCUMENT}"));
+    let unreal =
+        stated.difference(found).map(|to| format!("edge {name} -> {to} of {DOCUMENT} does not exist"));
+    unstated.chain(unreal).collect()
 }
 
 #[cfg(test)]

@@ -2,7 +2,11 @@
 
 use super::{Finding, Source};
 
-/// Every crate says what it is and inherits the workspace's lints.
+/// The one crate whose normal dependencies may hold a numpy parser (docs/adr/0002).
+const NUMPY_OWNER: &str = "crates/arrays/Cargo.toml";
+const NUMPY_PARSER: &str = "npyz";
+
+/// Every crate says what it is and inherits the workspace's lints; only `arrays` parses numpy files.
 pub fn check(source: &Source) -> Vec<Finding> {
     let Source { path, text } = source;
     let ours = path.starts_with("crates/") || path.starts_with("xtask/");
@@ -20,6 +24,10 @@ pub fn check(source: &Source) -> Vec<Finding> {
     }
     if inherits != Some(true) {
         findings.push(format!("{path}: the crate does not inherit lints ([lints] workspace = true)"));
+    }
+    if path != NUMPY_OWNER && entry(&manifest, "dependencies", NUMPY_PARSER).is_some() {
+        findings
+            .push(format!("{path}: only `arrays` reads numpy files; {NUMPY_PARSER} may be a dev-dependency"));
     }
     findings
 }
@@ -44,5 +52,14 @@ mod tests {
         assert_eq!(check(&source("crates/a/Cargo.toml", &own)).len(), 1);
         assert_eq!(check(&source("crates/a/Cargo.toml", "[package")).len(), 1);
         assert!(check(&source("Cargo.toml", "[workspace]\n")).is_empty());
+    }
+    #[test]
+    fn only_arrays_parses_numpy_files() {
+        let head = "[package]\ndescription = \"a\"\n[lints]\nworkspace = true\n";
+        let normal = format!("{head}[dependencies]\n{NUMPY_PARSER}.workspace = true\n");
+        assert_eq!(check(&source("crates/tracks/Cargo.toml", &normal)).len(), 1);
+        assert!(check(&source(NUMPY_OWNER, &normal)).is_empty());
+        let dev = normal.replace("[dependencies]", "[dev-dependencies]");
+        assert!(check(&source("crates/tracks/Cargo.toml", &dev)).is_empty());
     }
 }
