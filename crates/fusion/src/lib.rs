@@ -1,0 +1,1 @@
+//! Fuses the trackers' estimates with the temporal prior, validates and plans densification.

@@ -1,0 +1,1 @@
+//! Lifts displaced projections of Gaussians to positions with covariances.
