@@ -36,7 +36,7 @@ fn loss(c: &mut Criterion) {
         for (name, region) in [("full", LossRegion::Full), ("masked8", LossRegion::Mask(&mask))] {
             let mut loss = PhotometricLoss::new();
             group.bench_function(BenchmarkId::new(name, format!("{width}x{height}")), |b| {
-                b.iter(|| black_box(loss.evaluate(&rendered, &target, &region, &mut gradient)));
+                b.iter(|| black_box(loss.evaluate(&rendered, &target, region, &mut gradient)));
             });
         }
     }

@@ -208,7 +208,7 @@ impl Shared<'_> {
         self,
         parameters: &mut [f32],
         gradient: &[f32],
-        moments: (&mut [f32], &mut [f32]),
+        (first, second): (&mut [f32], &mut [f32]),
         rates: &[f32],
     ) {
         if rates.iter().all(|&r| r == 0.0) {
@@ -218,8 +218,8 @@ impl Shared<'_> {
         parameters
             .par_chunks_mut(length)
             .zip(gradient.par_chunks(length))
-            .zip(moments.0.par_chunks_mut(length))
-            .zip(moments.1.par_chunks_mut(length))
+            .zip(first.par_chunks_mut(length))
+            .zip(second.par_chunks_mut(length))
             .enumerate()
             .for_each(|(chunk, (((p, g), m), v))| {
                 dispatch(Chunk { shared: self, start: chunk * CHUNK, p, g, m, v, rates });
@@ -373,7 +373,9 @@ mod tests {
         let gradients: Vec<_> = (0..5).map(|t| waves(n, degree, 10.0 + t as f32)).collect();
         let mut g = start.clone();
         let mut adam = Adam::new(n, degree);
-        gradients.iter().for_each(|gradient| adam.step(&mut g, gradient, &RATES, Update::Dense));
+        for gradient in &gradients {
+            adam.step(&mut g, gradient, &RATES, Update::Dense);
+        }
         let check = |got: f32, column: fn(&Gaussians) -> &[f32], i: usize, rate: f32| {
             let history: Vec<f32> = gradients.iter().map(|g| column(g)[i]).collect();
             let want = reference(column(&start)[i], &history, rate);

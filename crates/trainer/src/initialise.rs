@@ -52,7 +52,9 @@ fn scales(positions: &[[f32; 3]]) -> Vec<f32> {
     sorted.sort_by(f32::total_cmp);
     let quantile = |q: f64| sorted.get(((sorted.len().max(1) - 1) as f64 * q).round() as usize).copied();
     let [low, high] = QUANTILES.map(|q| quantile(q).unwrap_or(LONE_SCALE));
-    scales.iter_mut().for_each(|s| *s = s.clamp(low, high));
+    for s in &mut scales {
+        *s = s.clamp(low, high);
+    }
     scales
 }
 

@@ -100,14 +100,14 @@ impl PhotometricLoss {
         &mut self,
         rendered: &PlanarImage,
         target: &ImageRgb8,
-        region: &LossRegion,
+        region: LossRegion,
         gradient: &mut PlanarImage,
     ) -> LossValue {
         let size = rendered.size();
         assert_eq!(size, target.size(), "target size");
         let (mask, counted) = match region {
             LossRegion::Full => (None, size.pixels()),
-            LossRegion::Mask(mask) => (Some(*mask), mask.count()),
+            LossRegion::Mask(mask) => (Some(mask), mask.count()),
         };
         assert!(mask.is_none_or(|m| m.size() == size), "mask size");
         self.prepare(size, region);
@@ -127,7 +127,7 @@ impl PhotometricLoss {
         self.value(samples)
     }
 
-    fn prepare(&mut self, size: ImageSize, region: &LossRegion) {
+    fn prepare(&mut self, size: ImageSize, region: LossRegion) {
         std::mem::swap(&mut self.spans, &mut self.previous);
         self.spans.collect(size, region);
         let bands = size.height.div_ceil(BAND);
@@ -185,9 +185,9 @@ impl PhotometricLoss {
         planes.zip(scratch).zip(partials).enumerate().for_each(|(c, ((plane, (maps, sums)), partials))| {
             let rows = plane.par_chunks_mut(BAND * width).zip(maps).zip(sums).enumerate();
             let active = rows.filter(|(band, _)| !spans.of(*band).is_empty());
-            active.for_each(|(band, ((gradient, maps), sums))| {
+            active.for_each(|(band, ((output, maps), sums))| {
                 let (channel, spans, layout) = (channel(c), spans.of(band), *layout);
-                dispatch(Gradient { channel, band, spans, maps, layout, partials, factors, gradient, sums });
+                dispatch(Gradient { channel, band, spans, maps, layout, partials, factors, output, sums });
             });
         });
     }

@@ -52,7 +52,9 @@ impl SkyCube {
         observations: &[SkyObservation],
     ) -> Self {
         let mut sums = vec![[0.0f64; 4]; 6 * face_size * face_size];
-        observations.iter().for_each(|o| accumulate(&mut sums, o, min_transmittance));
+        for observation in observations {
+            accumulate(&mut sums, observation, min_transmittance);
+        }
         let mut cube = Self::filled(face_size, GREY);
         let height = |texel| Vec3::from(up).dot(texel_direction(face_size, texel)).into();
         let fit = VerticalFit::new(&sums, height);
@@ -106,7 +108,8 @@ impl SkyCube {
 
 fn accumulate(sums: &mut [[f64; 4]], observation: &SkyObservation, min_transmittance: f32) {
     for (i, sample) in observation.view.samples.iter().enumerate() {
-        if !(observation.transmittance[i] >= min_transmittance) {
+        let open = observation.transmittance[i] >= min_transmittance;
+        if !open {
             continue;
         }
         let [r, g, b] = observation.image.pixel(i).map(f64::from);
@@ -241,7 +244,7 @@ struct Bilinear {
 impl Bilinear {
     /// `s` in -1..=1 across a face of `size` texels.
     fn new(s: f64, size: usize) -> Self {
-        let position = ((s + 1.0) / 2.0 * size as f64 - 0.5).clamp(0.0, (size - 1) as f64);
+        let position = (s.midpoint(1.0) * size as f64 - 0.5).clamp(0.0, (size - 1) as f64);
         let low = position as usize;
         Self { low, high: (low + 1).min(size - 1), fraction: (position - low as f64) as f32 }
     }

@@ -18,7 +18,7 @@ const LOADED: usize = MAX_COLUMNS + 2 * RADIUS;
 pub(super) type RowMaps = [[[f32; MAX_COLUMNS]; ROWS]; 4];
 
 /// Horizontally filtered maps before any use.
-pub(super) const EMPTY_MAPS: RowMaps = [[[0.0; MAX_COLUMNS]; ROWS]; 4];
+pub(super) static EMPTY_MAPS: RowMaps = [[[0.0; MAX_COLUMNS]; ROWS]; 4];
 
 /// Sums over counted samples of one band and channel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -199,7 +199,7 @@ pub(super) struct Gradient<'a> {
     pub partials: &'a [f32],
     pub factors: Factors,
     /// This band's rows of the gradient plane.
-    pub gradient: &'a mut [f32],
+    pub output: &'a mut [f32],
     pub sums: &'a mut Sums,
 }
 
@@ -238,7 +238,7 @@ impl Gradient<'_> {
         let (mut x, mut y) = ([0.0; LOADED], [0.0; LOADED]);
         let mut weights = [0.0; MAX_COLUMNS];
         let mut totals = [[0.0; LANES]; 2];
-        let rows = self.gradient.len() / width;
+        let rows = self.output.len() / width;
         for r in 0..rows {
             let row = self.band * BAND + r;
             let n = span.columns + 2 * RADIUS;
@@ -250,11 +250,15 @@ impl Gradient<'_> {
                 };
                 let weight = weights[column..column + LANES].try_into().expect("a chunk");
                 let pixels = Pixels { x: chunk(&x), y: chunk(&y), weight };
-                let means = [0, 1, 2].map(|m| filter_column::<FMA, MAX_COLUMNS>(&self.maps[m][r..], column));
+                let mut means = [[0.0; LANES]; 3];
+                // Loops, not `map`: a closure passed to core would be compiled without the instruction set.
+                for (mean, map) in means.iter_mut().zip(&*self.maps) {
+                    *mean = filter_column::<FMA, MAX_COLUMNS>(&map[r..], column);
+                }
                 let values = pixels.gradient::<FMA>(&means, self.factors, &mut totals);
                 let first = span.x0 + column;
                 let count = LANES.min(width - first);
-                self.gradient[r * width + first..][..count].copy_from_slice(&values[..count]);
+                self.output[r * width + first..][..count].copy_from_slice(&values[..count]);
             }
         }
         self.sums.l1 += sum_lanes(&totals[0]);

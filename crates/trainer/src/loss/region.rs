@@ -26,7 +26,7 @@ impl Spans {
     }
 
     /// Fills the list for a region of an image.
-    pub fn collect(&mut self, size: ImageSize, region: &LossRegion) {
+    pub fn collect(&mut self, size: ImageSize, region: LossRegion) {
         self.all.clear();
         self.starts.clear();
         self.starts.push(0);
@@ -36,7 +36,7 @@ impl Spans {
         }
     }
 
-    fn collect_band(&mut self, size: ImageSize, region: &LossRegion, first_row: usize) {
+    fn collect_band(&mut self, size: ImageSize, region: LossRegion, first_row: usize) {
         let mut open: Option<Span> = None;
         for x0 in (0..size.width).step_by(LANES) {
             if !tile_counts(size, region, first_row, x0) {
@@ -53,7 +53,7 @@ impl Spans {
     }
 }
 
-fn tile_counts(size: ImageSize, region: &LossRegion, first_row: usize, x0: usize) -> bool {
+fn tile_counts(size: ImageSize, region: LossRegion, first_row: usize, x0: usize) -> bool {
     let LossRegion::Mask(mask) = region else { return true };
     let (x1, last) = ((x0 + LANES).min(size.width), (first_row + BAND).min(size.height));
     (first_row..last).any(|y| mask.data()[y * size.width + x0..y * size.width + x1].iter().any(|&v| v != 0))

@@ -74,7 +74,7 @@ fn assert_matches_definition(mask: Option<&Mask>) {
     let (rendered, target) = images(SIZE);
     let region = mask.map_or(LossRegion::Full, LossRegion::Mask);
     let mut gradient = PlanarImage::zeros(SIZE);
-    let value = PhotometricLoss::new().evaluate(&rendered, &target, &region, &mut gradient);
+    let value = PhotometricLoss::new().evaluate(&rendered, &target, region, &mut gradient);
     let mut x: Vec<f64> = rendered.data().iter().map(|&v| f64::from(v)).collect();
     let want = naive(&x, &target, mask);
     for (a, b) in
@@ -111,15 +111,15 @@ fn scratch_carries_nothing_from_one_call_to_the_next() {
     let size = ImageSize { width: 150, height: 70 };
     let (rendered, target) = images(size);
     let mask = disc(size);
-    let fresh = |region: &LossRegion| {
+    let fresh = |region: LossRegion| {
         let mut gradient = PlanarImage::zeros(size);
         let value = PhotometricLoss::new().evaluate(&rendered, &target, region, &mut gradient);
         (value, gradient)
     };
     let mut shared = (PhotometricLoss::new(), PlanarImage::zeros(SIZE));
     for region in [LossRegion::Full, LossRegion::Mask(&mask), LossRegion::Full, LossRegion::Mask(&mask)] {
-        let value = shared.0.evaluate(&rendered, &target, &region, &mut shared.1);
-        assert_eq!((value, shared.1.clone()), fresh(&region));
+        let value = shared.0.evaluate(&rendered, &target, region, &mut shared.1);
+        assert_eq!((value, shared.1.clone()), fresh(region));
     }
 }
 
@@ -131,7 +131,7 @@ fn the_number_of_threads_does_not_matter() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut gradient = PlanarImage::zeros(size);
         let mut loss = PhotometricLoss::new();
-        let value = pool.install(|| loss.evaluate(&rendered, &target, &LossRegion::Full, &mut gradient));
+        let value = pool.install(|| loss.evaluate(&rendered, &target, LossRegion::Full, &mut gradient));
         (value, gradient)
     };
     assert_eq!(with(1), with(3));
@@ -142,7 +142,7 @@ fn an_empty_mask_gives_zero() {
     let (rendered, target) = images(SIZE);
     let mask = Mask::filled(SIZE, false);
     let mut gradient = rendered.clone();
-    let value = PhotometricLoss::new().evaluate(&rendered, &target, &LossRegion::Mask(&mask), &mut gradient);
+    let value = PhotometricLoss::new().evaluate(&rendered, &target, LossRegion::Mask(&mask), &mut gradient);
     assert_eq!(value, LossValue::default());
     assert!(gradient.data().iter().all(|&v| v == 0.0));
 }
