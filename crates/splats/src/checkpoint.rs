@@ -1,0 +1,168 @@
+//! Layout: magic (8 bytes), version u32, payload length u64, payload, CRC-32 of all before it; little-endian.
+
+use crate::bytes::{Cursor, put_f32s, put_f64s, put_text, put_u64};
+use crate::error::InFile;
+use crate::{Problem, SplatError};
+use ffgs_core::{Gaussians, write_atomically};
+use glam::DMat3;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+const MAGIC: &[u8; 8] = b"FFGSCKPT";
+const VERSION: u32 = 1;
+const HEAD: usize = 20;
+const CHECKSUM: usize = 4;
+
+/// All that the next frame needs: a run that continues from it ends with the same bytes as one never stopped.
+/// Floats are kept bit by bit (NaN payloads and signed zeros too).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameState {
+    /// The frame this is the state after.
+    pub frame: u64,
+    /// Static layer.
+    pub static_layer: Gaussians,
+    /// Dynamic layer.
+    pub dynamic_layer: Gaussians,
+    /// Position covariances of the dynamic layer (m^2).
+    pub dynamic_covariances: Vec<DMat3>,
+    /// Edge of a sky cube face (px); 0 without a sky.
+    pub sky_face_size: usize,
+    /// Sky texture, kept as it is.
+    pub sky: Vec<f32>,
+    /// Process noise of the last fused frame (m).
+    pub q: f64,
+    /// Further real state by name.
+    pub reals: BTreeMap<String, f64>,
+    /// Further integer state by name (iteration counts, random-number positions).
+    pub integers: BTreeMap<String, u64>,
+}
+
+/// Writes a checkpoint atomically.
+pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError> {
+    for layer in [&state.static_layer, &state.dynamic_layer] {
+        layer.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
+    }
+    let payload = encode(state);
+    let mut bytes = Vec::with_capacity(HEAD + payload.len() + CHECKSUM);
+    bytes.extend(MAGIC);
+    bytes.extend(VERSION.to_le_bytes());
+    put_u64(&mut bytes, payload.len() as u64);
+    bytes.extend(payload);
+    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+    write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
+}
+
+/// Reads a checkpoint; a truncated or altered file, or one of another version, is an error.
+pub fn load_checkpoint(path: &Path) -> Result<FrameState, SplatError> {
+    let bytes = std::fs::read(path).in_file(path)?;
+    payload(&bytes).and_then(decode).in_file(path)
+}
+
+fn payload(bytes: &[u8]) -> Result<&[u8], Problem> {
+    if !bytes.starts_with(MAGIC) {
+        return Err(Problem::Header("this is not a checkpoint".into()));
+    }
+    let short = || Problem::Truncated(format!("{} bytes are too few for a checkpoint", bytes.len()));
+    let (body, checksum) = bytes.split_last_chunk::<CHECKSUM>().ok_or_else(short)?;
+    let (head, payload) = body.split_at_checked(HEAD).ok_or_else(short)?;
+    let mut cursor = Cursor(&head[MAGIC.len() + 4..]);
+    let version = &head[MAGIC.len()..MAGIC.len() + 4];
+    if version != VERSION.to_le_bytes() {
+        return Err(Problem::Header(format!("checkpoint version {version:?} is not {VERSION}")));
+    }
+    let length = cursor.u64()?;
+    if length != payload.len() as u64 {
+        return Err(Problem::Truncated(format!("{} of {length} payload bytes", payload.len())));
+    }
+    if crc32fast::hash(body).to_le_bytes() != *checksum {
+        return Err(Problem::Corrupt("the checksum differs".into()));
+    }
+    Ok(payload)
+}
+
+fn encode(state: &FrameState) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_u64(&mut out, state.frame);
+    put_layer(&mut out, &state.static_layer);
+    put_layer(&mut out, &state.dynamic_layer);
+    put_u64(&mut out, state.dynamic_covariances.len() as u64);
+    state.dynamic_covariances.iter().for_each(|m| put_f64s(&mut out, &m.to_cols_array()));
+    put_u64(&mut out, state.sky_face_size as u64);
+    put_u64(&mut out, state.sky.len() as u64);
+    put_f32s(&mut out, &state.sky);
+    put_f64s(&mut out, [&state.q]);
+    put_u64(&mut out, state.reals.len() as u64);
+    for (name, value) in &state.reals {
+        put_text(&mut out, name);
+        put_f64s(&mut out, [value]);
+    }
+    put_u64(&mut out, state.integers.len() as u64);
+    for (name, &value) in &state.integers {
+        put_text(&mut out, name);
+        put_u64(&mut out, value);
+    }
+    out
+}
+
+fn put_layer(out: &mut Vec<u8>, layer: &Gaussians) {
+    put_u64(out, layer.len() as u64);
+    put_u64(out, layer.sh_degree() as u64);
+    put_f32s(out, layer.means.as_flattened());
+    put_f32s(out, layer.quats.as_flattened());
+    put_f32s(out, layer.log_scales.as_flattened());
+    put_f32s(out, &layer.opacity_logits);
+    put_f32s(out, layer.sh.as_flattened());
+}
+
+fn decode(payload: &[u8]) -> Result<FrameState, Problem> {
+    let mut cursor = Cursor(payload);
+    let frame = cursor.u64()?;
+    let static_layer = layer(&mut cursor)?;
+    let dynamic_layer = layer(&mut cursor)?;
+    let count = cursor.length()?;
+    let dynamic_covariances = cursor.f64_rows::<9>(count)?.iter().map(DMat3::from_cols_array).collect();
+    let sky_face_size = cursor.length()?;
+    let texels = cursor.length()?;
+    let sky = cursor.f32s(texels)?;
+    let q = cursor.f64()?;
+    let reals = named(&mut cursor, Cursor::f64)?;
+    let integers = named(&mut cursor, Cursor::u64)?;
+    if !cursor.0.is_empty() {
+        return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
+    }
+    Ok(FrameState {
+        frame,
+        static_layer,
+        dynamic_layer,
+        dynamic_covariances,
+        sky_face_size,
+        sky,
+        q,
+        reals,
+        integers,
+    })
+}
+
+fn layer(cursor: &mut Cursor<'_>) -> Result<Gaussians, Problem> {
+    let n = cursor.length()?;
+    let degree = cursor.length()?;
+    if degree > 3 {
+        return Err(Problem::Corrupt(format!("SH degree {degree}")));
+    }
+    let mut out = Gaussians::empty(degree);
+    out.means = cursor.f32_rows(n)?;
+    out.quats = cursor.f32_rows(n)?;
+    out.log_scales = cursor.f32_rows(n)?;
+    out.opacity_logits = cursor.f32s(n)?;
+    out.sh = cursor.f32_rows(n.saturating_mul(out.sh_stride()))?;
+    Ok(out)
+}
+
+fn named<'a, T>(
+    cursor: &mut Cursor<'a>,
+    value: impl Fn(&mut Cursor<'a>) -> Result<T, Problem>,
+) -> Result<BTreeMap<String, T>, Problem> {
+    let count = cursor.u64()?;
+    (0..count).map(|_| Ok((cursor.text()?, value(cursor)?))).collect()
+}

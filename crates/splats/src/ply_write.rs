@@ -1,0 +1,74 @@
+use crate::error::InFile;
+use crate::{Problem, SplatError};
+use ffgs_core::{Gaussians, write_atomically};
+use glam::DMat3;
+use std::io::Write;
+use std::path::Path;
+
+/// Writes a binary little-endian 3DGS PLY that other viewers open: `x y z nx ny nz f_dc_* f_rest_*` (channel-major)
+/// `opacity scale_* rot_*` (w, x, y, z), all f32. `covariances` (m^2, one per Gaussian) become the extra properties
+/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz`.
+pub fn write_ply(
+    path: &Path,
+    gaussians: &Gaussians,
+    covariances: Option<&[DMat3]>,
+) -> Result<(), SplatError> {
+    check(gaussians, covariances).in_file(path)?;
+    write_atomically(path, |out| -> Result<(), Problem> {
+        out.write_all(header(gaussians, covariances.is_some()).as_bytes())?;
+        let mut row = Vec::new();
+        for i in 0..gaussians.len() {
+            row.clear();
+            push_row(&mut row, gaussians, i, covariances.map(|c| c[i]));
+            for value in &row {
+                out.write_all(&value.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })
+    .in_file(path)
+}
+
+fn check(gaussians: &Gaussians, covariances: Option<&[DMat3]>) -> Result<(), Problem> {
+    gaussians.validate().map_err(|e| Problem::Shape(e.to_string()))?;
+    match covariances {
+        Some(c) if c.len() != gaussians.len() => {
+            let n = gaussians.len();
+            Err(Problem::Shape(format!("{} covariances for {n} Gaussians", c.len())))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn header(gaussians: &Gaussians, with_covariances: bool) -> String {
+    let rest = 3 * (gaussians.sh_stride() - 1);
+    let numbered = |name: &'static str, n: usize| (0..n).map(move |i| format!("{name}_{i}"));
+    let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
+    names.extend(numbered("f_dc", 3).chain(numbered("f_rest", rest)));
+    names.push("opacity".to_owned());
+    names.extend(numbered("scale", 3).chain(numbered("rot", 4)));
+    if with_covariances {
+        names.extend(["xx", "xy", "xz", "yy", "yz", "zz"].map(|n| format!("cov_{n}")));
+    }
+    let properties: Vec<String> = names.iter().map(|n| format!("property float {n}\n")).collect();
+    let vertices = gaussians.len();
+    let properties = properties.concat();
+    format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{properties}end_header\n")
+}
+
+fn push_row(row: &mut Vec<f32>, gaussians: &Gaussians, i: usize, covariance: Option<DMat3>) {
+    let sh = gaussians.sh_of(i);
+    row.extend(gaussians.means[i]);
+    row.extend([0.0; 3]);
+    row.extend(sh[0]);
+    for channel in 0..3 {
+        row.extend(sh[1..].iter().map(|rgb| rgb[channel]));
+    }
+    row.push(gaussians.opacity_logits[i]);
+    row.extend(gaussians.log_scales[i]);
+    row.extend(gaussians.quats[i]);
+    if let Some(m) = covariance {
+        let upper = [m.x_axis.x, m.y_axis.x, m.z_axis.x, m.y_axis.y, m.z_axis.y, m.z_axis.z];
+        row.extend(upper.map(|v| v as f32));
+    }
+}

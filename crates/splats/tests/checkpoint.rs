@@ -1,0 +1,68 @@
+//! Checkpoints restore every bit, and refuse anything else. The sky's PNGs.
+
+use ffgs_core::Gaussians;
+use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint, write_sky_cross, write_sky_faces};
+use glam::{DMat3, DVec3};
+use std::fs;
+
+fn state() -> FrameState {
+    let mut static_layer = Gaussians::zeros(3, 2);
+    static_layer.sh[5] = [f32::MIN_POSITIVE / 8.0, -0.0, 1.0 / 3.0];
+    static_layer.quats[1] = [0.1, 0.2, 0.3, 0.4];
+    let mut dynamic_layer = Gaussians::zeros(2, 3);
+    dynamic_layer.means[1] = [1e-30, 1e30, -7.5];
+    FrameState {
+        frame: 12,
+        static_layer,
+        dynamic_layer,
+        dynamic_covariances: vec![DMat3::from_diagonal(DVec3::new(0.1, 1.0 / 3.0, 1e-300)); 2],
+        sky_face_size: 2,
+        sky: (0..72).map(|i| i as f32 / 7.0).collect(),
+        q: 0.123_456_789,
+        reals: [("scale".to_owned(), f64::MIN_POSITIVE)].into(),
+        integers: [("iteration".to_owned(), u64::MAX), ("seed".to_owned(), 3)].into(),
+    }
+}
+
+#[test]
+fn a_checkpoint_comes_back_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frame/12.ckpt");
+    save_checkpoint(&path, &state()).unwrap();
+    let first = fs::read(&path).unwrap();
+    let back = load_checkpoint(&path).unwrap();
+    assert_eq!(back, state());
+    save_checkpoint(&path, &back).unwrap();
+    assert_eq!(fs::read(&path).unwrap(), first);
+}
+
+#[test]
+fn truncation_and_any_changed_byte_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.ckpt");
+    save_checkpoint(&path, &state()).unwrap();
+    let good = fs::read(&path).unwrap();
+    for i in (0..good.len()).step_by(13).chain([good.len() - 1]) {
+        fs::write(&path, &good[..i]).unwrap();
+        assert!(load_checkpoint(&path).unwrap_err().to_string().contains("x.ckpt"), "cut at {i}");
+        let mut bad = good.clone();
+        bad[i] ^= 0x40;
+        fs::write(&path, bad).unwrap();
+        assert!(load_checkpoint(&path).is_err(), "byte {i}");
+    }
+}
+
+#[test]
+fn the_sky_is_written_as_faces_and_as_a_cross() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut texels = vec![0.0; 72];
+    texels[0] = 1.0;
+    let paths = write_sky_faces(folder.path(), 2, &texels).unwrap();
+    assert_eq!(paths.len(), 6);
+    assert_eq!(image::open(&paths[0]).unwrap().to_rgb8().get_pixel(0, 0).0, [255, 0, 0]);
+    let cross = folder.path().join("sky.png");
+    write_sky_cross(&cross, 2, &texels).unwrap();
+    let cross = image::open(cross).unwrap().to_rgb8();
+    assert_eq!((cross.dimensions(), cross.get_pixel(4, 2).0), ((8, 6), [255, 0, 0]));
+    assert!(write_sky_faces(folder.path(), 3, &texels).is_err());
+}
