@@ -1,0 +1,93 @@
+use crate::npy::read_array;
+use crate::{Array, ArraysError, Cause, Element};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+/// An open .npz file (a zip archive of npy arrays, stored or deflated).
+#[derive(Debug)]
+pub struct NpzFile {
+    path: PathBuf,
+    names: Vec<String>,
+    archive: Mutex<ZipArchive<BufReader<File>>>,
+}
+
+impl NpzFile {
+    /// Opens the file and reads its directory; no array is read yet.
+    pub fn open(path: &Path) -> Result<Self, ArraysError> {
+        let open = || -> Result<_, Cause> {
+            let file = BufReader::new(File::open(path)?);
+            ZipArchive::new(file).map_err(archive_cause)
+        };
+        let archive = open().map_err(|cause| ArraysError::new(path, None, cause))?;
+        let mut names: Vec<_> = archive.file_names().filter_map(|n| array_name(&n.ok()?)).collect();
+        names.sort();
+        Ok(Self { path: path.to_owned(), names, archive: Mutex::new(archive) })
+    }
+
+    /// Names of the arrays, sorted.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Whether there is an array of that name.
+    pub fn has(&self, name: &str) -> bool {
+        self.names.binary_search_by(|n| n.as_str().cmp(name)).is_ok()
+    }
+
+    /// The file's path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Reads an array as `T` from whatever numeric dtype it has.
+    pub fn read<T: Element>(&self, name: &str) -> Result<Array<T>, ArraysError> {
+        let (shape, data) =
+            self.entry(name).map_err(|cause| ArraysError::new(&self.path, Some(name), cause))?;
+        Ok(Array::new(shape, data, &self.path, Some(name)))
+    }
+
+    /// Reads an array as f32.
+    pub fn f32(&self, name: &str) -> Result<Array<f32>, ArraysError> {
+        self.read(name)
+    }
+
+    /// Reads an array as f64.
+    pub fn f64(&self, name: &str) -> Result<Array<f64>, ArraysError> {
+        self.read(name)
+    }
+
+    /// Reads an array of whole numbers as i64.
+    pub fn i64(&self, name: &str) -> Result<Array<i64>, ArraysError> {
+        self.read(name)
+    }
+
+    /// Reads an array of whole numbers in 0..=255, or of bool (0 or 1), as u8.
+    pub fn u8(&self, name: &str) -> Result<Array<u8>, ArraysError> {
+        self.read(name)
+    }
+
+    fn entry<T: Element>(&self, name: &str) -> Result<(Vec<usize>, Vec<T>), Cause> {
+        if !self.has(name) {
+            return Err(Cause::MissingKey(self.names.clone()));
+        }
+        // A panic while reading leaves nothing half-changed: the next read seeks anew.
+        let mut archive = self.archive.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut entry = archive.by_name(&format!("{name}.npy")).map_err(archive_cause)?;
+        read_array(&mut entry)
+    }
+}
+
+fn array_name(file_name: &str) -> Option<String> {
+    file_name.strip_suffix(".npy").map(str::to_owned)
+}
+
+fn archive_cause(error: ZipError) -> Cause {
+    match error {
+        ZipError::Io(e) => Cause::Io(e),
+        other => Cause::Archive(other.to_string()),
+    }
+}

@@ -1,0 +1,197 @@
+use crate::{Capture, CheckReport, DatasetError, Fault, Note, PointCloud, Split, SplitSummary, ViewSummary};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Below this no motion can be triangulated.
+const MIN_TRAIN_VIEWS: usize = 2;
+
+/// Reads every file of the capture, in parallel, and lists what it holds and what is wrong.
+pub fn check(capture: &Capture) -> CheckReport {
+    check_with_progress(capture, &|_, _| ())
+}
+
+/// As [`check`]; calls `progress(done, total)` after every image, from any thread.
+pub fn check_with_progress(capture: &Capture, progress: &(dyn Fn(usize, usize) + Sync)) -> CheckReport {
+    let mut report = CheckReport { root: capture.root().to_owned(), ..CheckReport::default() };
+    let points = check_points(capture, &mut report);
+    let views: Vec<_> = Split::ALL
+        .iter()
+        .flat_map(|&split| (0..capture.views(split).len()).map(move |v| (split, v)))
+        .collect();
+    let total = views.iter().map(|(split, _)| capture.frames_of(*split)).sum();
+    let done = AtomicUsize::new(0);
+    let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+    let checked: Vec<_> =
+        views.into_par_iter().map(|(split, view)| check_view(capture, split, view, &points, &tick)).collect();
+    for (summary, faults) in checked {
+        report.views.push(summary);
+        report.faults.extend(faults);
+    }
+    check_splits(capture, &mut report);
+    check_masks(capture, &mut report);
+    note_blind_views(capture, &mut report);
+    report
+}
+
+fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
+    let file = capture.points_path();
+    let points = capture.initial_points().unwrap_or_else(|error| {
+        report.faults.push(fault(&file, &error));
+        PointCloud::default()
+    });
+    report.points = points.len();
+    report.foreground_points = points.foreground_count();
+    let mut add = |problem: String, fix: &str| {
+        report.faults.push(Fault { file: file.clone(), problem, fix: fix.into() })
+    };
+    if points.dropped > 0 {
+        let all = points.len() + points.dropped;
+        add(format!("{} of {all} points are NaN or infinite", points.dropped), "remove these rows");
+    }
+    if points.is_empty() {
+        add("no initial points".into(), "store points of frame 0, e.g. from a structure-from-motion tool");
+    } else if points.foreground_count() == 0 {
+        add("no foreground point (column 6)".into(), "set column 6 to 1 for points on the moving objects");
+    }
+    points
+}
+
+fn check_view(
+    capture: &Capture,
+    split: Split,
+    view: usize,
+    points: &PointCloud,
+    tick: &(dyn Fn() + Sync),
+) -> (ViewSummary, Vec<Fault>) {
+    let frames = capture.frames_of(split);
+    let mut summary = empty_summary(capture, split, view, points);
+    let mut faults = Vec::new();
+    for frame in 0..frames {
+        if let Err(error) = check_frame(capture, split, view, frame, &mut summary, &mut faults) {
+            faults.push(fault(&file_of(&error, capture), &error));
+        }
+        tick();
+    }
+    summary.coverage /= summary.masks.max(1) as f64;
+    (summary, faults)
+}
+
+fn empty_summary(capture: &Capture, split: Split, view: usize, points: &PointCloud) -> ViewSummary {
+    let camera = capture.camera(split, view, 0).ok();
+    let seen = |p: &&[f32; 3]| camera.as_ref().is_some_and(|c| c.pixel_of(p.map(f64::from).into()).is_some());
+    ViewSummary {
+        split,
+        name: capture.views(split)[view].name.clone(),
+        frames: capture.frames_of(split),
+        size: camera.as_ref().map(ffgs_core::Camera::size),
+        images: 0,
+        masks: 0,
+        empty_masks: 0,
+        coverage: 0.0,
+        points_seen: points.positions.iter().filter(seen).count(),
+    }
+}
+
+/// Reads image and mask of a frame; a bad image does not hide a bad mask.
+fn check_frame(
+    capture: &Capture,
+    split: Split,
+    view: usize,
+    frame: usize,
+    summary: &mut ViewSummary,
+    faults: &mut Vec<Fault>,
+) -> Result<(), DatasetError> {
+    capture.camera(split, view, frame)?;
+    match capture.load_image(split, view, frame) {
+        Ok(_) => summary.images += 1,
+        Err(error) => faults.push(fault(&file_of(&error, capture), &error)),
+    }
+    if let Some(mask) = capture.load_mask(split, view, frame)? {
+        summary.masks += 1;
+        summary.empty_masks += usize::from(mask.count() == 0);
+        summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
+    }
+    Ok(())
+}
+
+fn check_splits(capture: &Capture, report: &mut CheckReport) {
+    for split in Split::ALL {
+        let views = capture.views(split).len();
+        if views > 0 {
+            report.splits.push(SplitSummary { split, views, frames: capture.frames_of(split) });
+        }
+    }
+    let train = capture.views(Split::Train).len();
+    if train < MIN_TRAIN_VIEWS {
+        let problem =
+            format!("{train} training view: motion is triangulated from at least {MIN_TRAIN_VIEWS}");
+        let file = capture.root().join(Split::Train.meta_file());
+        report.faults.push(Fault { file, problem, fix: "add calibrated cameras of the same scene".into() });
+    }
+    if capture.views(Split::Test).is_empty() {
+        let file = capture.root().join(Split::Test.meta_file());
+        report.notes.push(Note { file, text: "no test views: no quality is measured".into() });
+    }
+}
+
+fn check_masks(capture: &Capture, report: &mut CheckReport) {
+    let train = || report.views.iter().filter(|v| v.split == Split::Train);
+    let masks: usize = train().map(|v| v.masks).sum();
+    let empty: usize = train().map(|v| v.empty_masks).sum();
+    let file = capture.root().join("seg");
+    if masks > 0 && masks == empty {
+        let problem = "every training mask is empty: nothing is marked as moving".to_owned();
+        report.faults.push(Fault { file, problem, fix: "write masks with the moving objects not 0".into() });
+    }
+    for view in &report.views {
+        let file = capture.root().join("seg").join(&view.name);
+        // Unreadable masks have their own fault; here only those that are not there.
+        let missing = missing_masks(capture, view);
+        if missing > 0 && view.split == Split::Train {
+            let problem = format!("{missing} of {} masks are missing", view.frames);
+            report.faults.push(Fault { file, problem, fix: "add a PNG per image, 0 = background".into() });
+        } else if missing > 0 {
+            report.notes.push(Note { file, text: format!("{missing} of {} masks are missing", view.frames) });
+        } else if view.empty_masks > 0 {
+            let text = format!("{} of {} masks are empty", view.empty_masks, view.masks);
+            report.notes.push(Note { file, text });
+        }
+    }
+}
+
+fn missing_masks(capture: &Capture, summary: &ViewSummary) -> usize {
+    let views = capture.views(summary.split);
+    let Some(view) = views.iter().position(|v| v.name == summary.name) else { return 0 };
+    let path = |frame: usize| capture.mask_path(summary.split, view, frame);
+    (0..summary.frames).filter(|&frame| path(frame).is_ok_and(|p| !p.exists())).count()
+}
+
+fn note_blind_views(capture: &Capture, report: &mut CheckReport) {
+    let blind = report.views.iter().filter(|v| v.points_seen == 0 && v.size.is_some() && report.points > 0);
+    let text = "sees no initial point at frame 0 (is its pose world-to-camera, in metres, OpenCV axes?)";
+    let note = |v: &ViewSummary| Note {
+        file: capture.root().join(v.split.meta_file()),
+        text: format!("camera '{}' {text}", v.name),
+    };
+    report.notes.extend(blind.map(note).collect::<Vec<_>>());
+}
+
+fn fault(file: &Path, error: &DatasetError) -> Fault {
+    // The file is printed in front of the problem; the error's own text starts with it too.
+    let text = error.to_string();
+    let problem = text.strip_prefix(&format!("{}: ", file.display())).unwrap_or(&text).to_owned();
+    Fault { file: file.to_owned(), problem, fix: error.fix().to_owned() }
+}
+
+fn file_of(error: &DatasetError, capture: &Capture) -> PathBuf {
+    match error {
+        DatasetError::Io { file, .. }
+        | DatasetError::Meta { file, .. }
+        | DatasetError::Camera { file, .. }
+        | DatasetError::Image { file, .. }
+        | DatasetError::ImageSize { file, .. } => file.clone(),
+        DatasetError::Points(_) => capture.points_path(),
+        DatasetError::NoSuchView { split, .. } => capture.root().join(split.meta_file()),
+    }
+}

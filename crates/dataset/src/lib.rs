@@ -1,0 +1,25 @@
+//! Multi-view captures in the Dynamic3DGaussians layout: cameras, images, masks, points, and their validation.
+//!
+//! ```text
+//! CAPTURE/train_meta.json      w, h, k[t][c] 3x3, w2c[t][c] 4x4, fn[t][c] = "CAMERA/FRAME.png", cam_id[t][c]
+//! CAPTURE/test_meta.json       the same for held-out cameras (optional)
+//! CAPTURE/init_meta.json       the same for views of frame 0 only (optional)
+//! CAPTURE/ims/CAMERA/FRAME.png, CAPTURE/seg/CAMERA/FRAME.png (optional, 0/1 or 0/255)
+//! CAPTURE/init_pt_cld.npz      data (N, 7): xyz (m), rgb 0..=1, foreground 0 or 1
+//! ```
+//!
+//! Architecture invariant: nothing is cached; an image is read when asked for and kept as u8.
+
+mod capture;
+mod check;
+mod error;
+mod meta;
+mod pixels;
+mod points;
+mod report;
+
+pub use capture::{Capture, Split, View};
+pub use check::{check, check_with_progress};
+pub use error::DatasetError;
+pub use points::PointCloud;
+pub use report::{CheckReport, Fault, Note, SplitSummary, ViewSummary};

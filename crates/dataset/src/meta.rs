@@ -1,0 +1,161 @@
+use crate::{DatasetError, View};
+use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics};
+use glam::{DMat4, DVec4};
+use serde::Deserialize;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+type Matrix<const N: usize> = [[Option<f64>; N]; N];
+
+/// A `*_meta.json`, entries `[frame][camera]`. Non-finite numbers (NaN is not JSON, but Python writes it) are null.
+#[derive(Deserialize)]
+struct MetaFile {
+    w: usize,
+    h: usize,
+    k: Vec<Vec<Matrix<3>>>,
+    w2c: Vec<Vec<Matrix<4>>>,
+    #[serde(rename = "fn")]
+    file_names: Vec<Vec<String>>,
+    cam_id: Vec<Vec<u32>>,
+}
+
+/// One split: its views and, per frame and view, camera and image.
+#[derive(Debug, Default)]
+pub(crate) struct Meta {
+    pub views: Vec<View>,
+    /// `[frame][view]`
+    pub entries: Vec<Vec<Entry>>,
+}
+
+/// A view at a frame. The camera is validated when asked for, so that `check` reports all that are none.
+#[derive(Debug)]
+pub(crate) struct Entry {
+    intrinsics: Intrinsics,
+    camera_from_world: DMat4,
+    size: ImageSize,
+    pub file_name: String,
+}
+
+impl Entry {
+    pub fn camera(&self) -> Result<Camera, CameraError> {
+        Camera::new(self.intrinsics, self.camera_from_world, self.size)
+    }
+}
+
+impl Meta {
+    /// Reads the file; views are those of its first frame, matched in later frames by camera id and folder.
+    pub fn read(file: &Path) -> Result<Self, DatasetError> {
+        let text = fs::read_to_string(file).map_err(|source| io_error(file, source))?;
+        let meta = |reason: String| DatasetError::Meta { file: file.to_owned(), reason };
+        let parsed: MetaFile = serde_json::from_str(&nan_to_null(&text)).map_err(|e| meta(e.to_string()))?;
+        parsed.into_meta().map_err(meta)
+    }
+
+    /// As [`Meta::read`]; no views when there is no such file.
+    pub fn read_optional(file: &Path) -> Result<Self, DatasetError> {
+        if file.exists() { Self::read(file) } else { Ok(Self::default()) }
+    }
+}
+
+impl MetaFile {
+    fn into_meta(self) -> Result<Meta, String> {
+        self.check_lengths()?;
+        let views = self.views(0);
+        if let Some(twice) = views.iter().enumerate().find(|(i, v)| views[..*i].contains(v)) {
+            return Err(format!("camera '{}' is listed twice in frame 0", twice.1.name));
+        }
+        let entries = (0..self.k.len()).map(|t| self.frame(t, &views)).collect::<Result<_, _>>()?;
+        Ok(Meta { views, entries })
+    }
+
+    fn check_lengths(&self) -> Result<(), String> {
+        let frames = [self.k.len(), self.w2c.len(), self.file_names.len(), self.cam_id.len()];
+        if frames.iter().any(|&n| n != frames[0]) {
+            return Err(format!("k, w2c, fn, cam_id have {frames:?} frames"));
+        }
+        if frames[0] == 0 || self.k[0].is_empty() {
+            return Err("no frame or no camera".to_owned());
+        }
+        for t in 0..frames[0] {
+            let cameras =
+                [self.k[t].len(), self.w2c[t].len(), self.file_names[t].len(), self.cam_id[t].len()];
+            if cameras.iter().any(|&n| n != cameras[0]) {
+                return Err(format!("k, w2c, fn, cam_id have {cameras:?} cameras in frame {t}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn views(&self, frame: usize) -> Vec<View> {
+        let named = self.file_names[frame].iter().zip(&self.cam_id[frame]);
+        named.map(|(name, &id)| View { name: folder(name).to_owned(), id }).collect()
+    }
+
+    fn frame(&self, t: usize, views: &[View]) -> Result<Vec<Entry>, String> {
+        let here = self.views(t);
+        if here.len() != views.len() {
+            return Err(format!("frame {t} has {} cameras, frame 0 has {}", here.len(), views.len()));
+        }
+        views.iter().map(|view| self.entry(t, view, &here)).collect()
+    }
+
+    fn entry(&self, t: usize, view: &View, here: &[View]) -> Result<Entry, String> {
+        let missing = || format!("camera '{}' (id {}) is missing in frame {t}", view.name, view.id);
+        let c = here.iter().position(|v| v == view).ok_or_else(missing)?;
+        let size = ImageSize { width: self.w, height: self.h };
+        let file_name = self.file_names[t][c].clone();
+        if !is_inside(&file_name) {
+            return Err(format!("file name {file_name:?} must be CAMERA/FRAME.png"));
+        }
+        let (intrinsics, camera_from_world) = (intrinsics(&self.k[t][c]), transform(&self.w2c[t][c]));
+        Ok(Entry { intrinsics, camera_from_world, size, file_name })
+    }
+}
+
+fn number(entry: Option<f64>) -> f64 {
+    entry.unwrap_or(f64::NAN)
+}
+
+fn intrinsics(k: &Matrix<3>) -> Intrinsics {
+    Intrinsics { fx: number(k[0][0]), fy: number(k[1][1]), cx: number(k[0][2]), cy: number(k[1][2]) }
+}
+
+fn transform(rows: &Matrix<4>) -> DMat4 {
+    let [x, y, z, w] = rows.map(|row| DVec4::from_array(row.map(number)));
+    DMat4::from_cols(x, y, z, w).transpose()
+}
+
+/// `CAMERA` of `CAMERA/FRAME.png`.
+fn folder(file_name: &str) -> &str {
+    file_name.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
+/// A relative path with a folder that does not leave the capture.
+fn is_inside(file_name: &str) -> bool {
+    let mut parts = file_name.split('/');
+    file_name.contains('/')
+        && !file_name.contains('\\')
+        && parts.all(|p| !p.is_empty() && p != "." && p != "..")
+}
+
+/// Python's json writes NaN and Infinity bare; outside strings they become null.
+fn nan_to_null(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for (i, part) in text.split('"').enumerate() {
+        let separator = if i == 0 { "" } else { "\"" };
+        out.push_str(separator);
+        if i % 2 == 0 && (part.contains('N') || part.contains('I')) {
+            out.push_str(
+                &part.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null"),
+            );
+        } else {
+            out.push_str(part);
+        }
+    }
+    out
+}
+
+pub(crate) fn io_error(file: &Path, source: io::Error) -> DatasetError {
+    DatasetError::Io { file: file.to_owned(), source }
+}

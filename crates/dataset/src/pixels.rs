@@ -1,0 +1,44 @@
+use crate::DatasetError;
+use crate::meta::io_error;
+use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use image::{DynamicImage, ImageReader, Limits};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// Decoder memory; an 8K image of 16-bit RGBA takes a quarter of it.
+const MAX_DECODED_BYTES: u64 = 1 << 30;
+
+/// An 8-bit image of exactly `size`; alpha is ignored, grey is spread over the channels.
+pub(crate) fn read_rgb(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetError> {
+    let data = decode(file, size)?.into_rgb8().into_raw();
+    Ok(ImageRgb8::new(size, data).expect("decode checked the size"))
+}
+
+/// A mask of exactly `size`: foreground where any channel is not zero.
+pub(crate) fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
+    let data = match decode(file, size)? {
+        DynamicImage::ImageLuma8(grey) => grey.into_raw(),
+        // Scaled to 8 bit, 1 would round to 0.
+        DynamicImage::ImageLuma16(grey) => grey.into_raw().iter().map(|v| u8::from(*v != 0)).collect(),
+        other => other.into_rgb8().pixels().map(|p| u8::from(p.0 != [0; 3])).collect(),
+    };
+    Ok(Mask::new(size, data).expect("decode checked the size"))
+}
+
+fn decode(file: &Path, size: ImageSize) -> Result<DynamicImage, DatasetError> {
+    let opened = File::open(file).map_err(|source| io_error(file, source))?;
+    let reader = ImageReader::new(BufReader::new(opened)).with_guessed_format();
+    let mut reader = reader.map_err(|source| io_error(file, source))?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MAX_DECODED_BYTES);
+    reader.limits(limits);
+    let damaged = |e: image::ImageError| DatasetError::Image { file: file.to_owned(), reason: e.to_string() };
+    let image = reader.decode().map_err(damaged)?;
+    let found = ImageSize { width: image.width() as usize, height: image.height() as usize };
+    if found == size {
+        Ok(image)
+    } else {
+        Err(DatasetError::ImageSize { file: file.to_owned(), expected: size, found })
+    }
+}

@@ -1,0 +1,122 @@
+use crate::Split;
+use ffgs_core::ImageSize;
+use std::fmt;
+use std::path::PathBuf;
+
+/// Something that keeps the method from running.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    /// The file at fault.
+    pub file: PathBuf,
+    /// What is wrong; names the file where it helps.
+    pub problem: String,
+    /// What to do about it.
+    pub fix: String,
+}
+
+/// Something worth knowing that the method can go on with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Note {
+    /// The file or folder concerned.
+    pub file: PathBuf,
+    /// What was found.
+    pub text: String,
+}
+
+/// What one view holds.
+#[derive(Clone, Debug)]
+pub struct ViewSummary {
+    /// Split of the view.
+    pub split: Split,
+    /// Camera folder.
+    pub name: String,
+    /// Frames that the meta file lists.
+    pub frames: usize,
+    /// Image size (px); `None` without a valid camera.
+    pub size: Option<ImageSize>,
+    /// Images that were read.
+    pub images: usize,
+    /// Masks that were read.
+    pub masks: usize,
+    /// Masks without a foreground pixel.
+    pub empty_masks: usize,
+    /// Mean foreground fraction of the masks, 0..=1.
+    pub coverage: f64,
+    /// Initial points inside the image at frame 0.
+    pub points_seen: usize,
+}
+
+/// What one split holds.
+#[derive(Clone, Debug)]
+pub struct SplitSummary {
+    /// The split.
+    pub split: Split,
+    /// Its views.
+    pub views: usize,
+    /// Frames per view.
+    pub frames: usize,
+}
+
+/// Inventory and faults of a capture; prints as a table.
+#[derive(Clone, Debug, Default)]
+pub struct CheckReport {
+    /// The capture's folder.
+    pub root: PathBuf,
+    /// One entry per split that has views.
+    pub splits: Vec<SplitSummary>,
+    /// One entry per view.
+    pub views: Vec<ViewSummary>,
+    /// Finite initial points.
+    pub points: usize,
+    /// Those on the foreground.
+    pub foreground_points: usize,
+    /// What must be mended; empty for a usable capture.
+    pub faults: Vec<Fault>,
+    /// What is worth knowing.
+    pub notes: Vec<Note>,
+}
+
+impl CheckReport {
+    /// Whether the capture has no fault.
+    pub fn is_usable(&self) -> bool {
+        self.faults.is_empty()
+    }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "Capture {}", self.root.display())?;
+        for SplitSummary { split, views, frames } in &self.splits {
+            writeln!(f, "  {split:5} {views} views, {frames} frames")?;
+        }
+        writeln!(f, "  points {}, foreground {}", self.points, self.foreground_points)?;
+        self.fmt_views(f)?;
+        self.notes
+            .iter()
+            .try_for_each(|Note { file, text }| writeln!(f, "note: {}: {text}", file.display()))?;
+        for Fault { file, problem, fix } in &self.faults {
+            writeln!(f, "fault: {}: {problem}\n  fix: {fix}", file.display())?;
+        }
+        match self.faults.len() {
+            0 => writeln!(f, "no faults"),
+            n => writeln!(f, "{n} fault{}", if n == 1 { "" } else { "s" }),
+        }
+    }
+}
+
+impl CheckReport {
+    fn fmt_views(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.views.iter().map(|v| v.name.len()).max().unwrap_or(0).max(4);
+        let heading = "      size  images  masks  empty  foreground  points seen";
+        writeln!(f, "  split {:width$} {heading}", "view")?;
+        for v in &self.views {
+            let size = v.size.map_or("?".to_owned(), |s| format!("{}x{}", s.width, s.height));
+            let images = format!("{}/{}", v.images, v.frames);
+            let coverage = format!("{:.2} %", v.coverage * 100.0);
+            let ViewSummary { split, name, masks, empty_masks, points_seen, .. } = v;
+            write!(f, "  {split:5} {name:width$} {size:>10} {images:>7} {masks:>6} {empty_masks:>6}")?;
+            writeln!(f, " {coverage:>11} {points_seen:>12}")?;
+        }
+        Ok(())
+    }
+}
