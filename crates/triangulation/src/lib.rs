@@ -1,1 +1,39 @@
-//! Lifts displaced projections of Gaussians to positions with covariances.
+//! Lifts displaced projections of Gaussians to 3D positions with covariances (Algorithm 1, lines 20 to 24).
+//!
+//! Everything is solved relative to the previous mean, so that coordinates of any size stay exact. Gaussians are
+//! independent apart from one pooled noise scale, which is summed in a fixed order: results do not depend on the
+//! number of threads.
+//!
+//! ```
+//! use ffgs_core::{Camera, Estimates, EstimateStatus, ImageSize, Intrinsics, Observations};
+//! use ffgs_triangulation::{Triangulator, WeightedRays};
+//! use glam::{DMat4, DVec3};
+//!
+//! let size = ImageSize { width: 64, height: 48 };
+//! let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+//! let pose = |x| DMat4::from_translation(DVec3::new(x, 0.0, 0.0));
+//! let cameras = [-1.0, 0.0, 1.0].map(|x| Camera::new(intrinsics, pose(x), size).unwrap());
+//! let truth = DVec3::new(0.1, 0.2, 4.0);
+//! let mut observations = Observations::unobserved(3, 1);
+//! for (v, camera) in cameras.iter().enumerate() {
+//!     observations.targets[v] = camera.project(truth).unwrap().pixel;
+//!     observations.weights[v] = 1.0;
+//! }
+//! let mut out = Estimates::default();
+//! let previous = [DVec3::new(0.0, 0.0, 4.0)];
+//! WeightedRays::default().triangulate(&previous, &cameras, &observations, &mut out)?;
+//! assert_eq!(out.status[0], EstimateStatus::Ok);
+//! assert!((out.means[0] - truth).length() < 1e-9);
+//! # Ok::<(), ffgs_triangulation::TriangulationError>(())
+//! ```
+
+mod config;
+mod normal;
+mod rays;
+mod robust;
+mod solve;
+mod views;
+mod weighted_rays;
+
+pub use config::TriangulationConfig;
+pub use weighted_rays::{TriangulationError, Triangulator, WeightedRays};

@@ -1,0 +1,209 @@
+use crate::config::TriangulationConfig;
+use crate::rays;
+use crate::robust::{self, Scales};
+use crate::solve::{Solution, solve};
+use crate::views::{View, gather};
+use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use thiserror::Error;
+
+/// Why a whole batch could not be triangulated.
+#[derive(Debug, Error, PartialEq)]
+pub enum TriangulationError {
+    /// The observations do not match the means or cameras.
+    #[error(
+        "observations hold {views} views of {gaussians} Gaussians; given {cameras} cameras and {means} means"
+    )]
+    Shape {
+        /// Views of the observations.
+        views: usize,
+        /// Gaussians of the observations.
+        gaussians: usize,
+        /// Cameras given.
+        cameras: usize,
+        /// Previous means given.
+        means: usize,
+    },
+    /// A column of the observations is not `views * gaussians` long.
+    #[error("an observation column holds {found} entries, expected {expected}")]
+    Column {
+        /// Entries found.
+        found: usize,
+        /// Entries expected.
+        expected: usize,
+    },
+    /// The settings hold a number out of range.
+    #[error("triangulation settings out of range: {0:?}")]
+    Config(Box<TriangulationConfig>),
+}
+
+/// Lifts one tracker's displaced projections to positions with covariances.
+pub trait Triangulator: Sync {
+    /// Fills `out` (columns of length N) from the previous means (N, m), the V cameras **at time t** and the (V, N)
+    /// observations. What fails for a Gaussian is its status; then its mean is the previous one, its covariance zero.
+    ///
+    /// # Errors
+    /// [`TriangulationError`] when shapes do not match or settings are out of range.
+    fn triangulate(
+        &self,
+        previous: &[DVec3],
+        cameras: &[Camera],
+        observations: &Observations,
+        out: &mut Estimates,
+    ) -> Result<(), TriangulationError>;
+}
+
+/// Weighted least squares over viewing rays (Algorithm 1, lines 21 to 24), robust, refined to the maximum-likelihood
+/// point, with a noise scale shrunk to what all Gaussians of the tracker and frame show.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WeightedRays {
+    /// Settings.
+    pub config: TriangulationConfig,
+}
+
+impl Triangulator for WeightedRays {
+    fn triangulate(
+        &self,
+        previous: &[DVec3],
+        cameras: &[Camera],
+        observations: &Observations,
+        out: &mut Estimates,
+    ) -> Result<(), TriangulationError> {
+        check_shapes(previous, cameras, observations)?;
+        if !self.config.is_valid() {
+            return Err(TriangulationError::Config(Box::new(self.config)));
+        }
+        let batch = Batch { config: &self.config, previous, cameras, observations };
+        let scales = batch.scales();
+        let solutions: Vec<_> = (0..previous.len())
+            .into_par_iter()
+            .map_init(Vec::new, |views, i| batch.solve_one(i, scales, views))
+            .collect();
+        let pooled = pooled_variance(&solutions);
+        out.means.clear();
+        out.covariances.clear();
+        out.status.clear();
+        for (solution, &mean) in solutions.iter().zip(previous) {
+            let (step, covariance, status) = finish(solution, pooled, &self.config);
+            out.means.push(mean + step);
+            out.covariances.push(covariance);
+            out.status.push(status);
+        }
+        Ok(())
+    }
+}
+
+type Outcome = Result<Solution, EstimateStatus>;
+
+struct Batch<'a> {
+    config: &'a TriangulationConfig,
+    previous: &'a [DVec3],
+    cameras: &'a [Camera],
+    observations: &'a Observations,
+}
+
+/// Gaussians the noise scale of the robust cut is taken from.
+const SCALE_SAMPLES: usize = 512;
+/// Rounds of the noise scale, each with the soft scale of the one before.
+const SCALE_ROUNDS: usize = 4;
+
+impl Batch<'_> {
+    fn solve_one(&self, i: usize, scales: Scales, views: &mut Vec<View>) -> Outcome {
+        gather(self.previous[i], self.cameras, self.observations, i, views);
+        solve(views, self.config, scales)
+    }
+
+    /// The configured robust scales, raised where the trackers' noise is larger than they expect.
+    fn scales(&self) -> Scales {
+        let TriangulationConfig { outlier_soft_px: soft, outlier_cut_px: cut, .. } = *self.config;
+        let mut noise = 0.0;
+        if self.config.robust {
+            // Too small a soft scale hides noise in few views: measure again with the scale just found.
+            for _ in 0..SCALE_ROUNDS {
+                noise = self.typical_noise(soft.max(2.0 * noise));
+            }
+        }
+        Scales { soft: soft.max(2.0 * noise), cut: cut.max(4.0 * noise) }
+    }
+
+    /// Median-based noise per axis (px) over an even subset of the Gaussians; robust against outliers in fewer than
+    /// half of the views.
+    fn typical_noise(&self, soft: f64) -> f64 {
+        let stride = self.previous.len().div_ceil(SCALE_SAMPLES).max(1);
+        let mut residuals: Vec<f64> = (0..self.previous.len())
+            .into_par_iter()
+            .step_by(stride)
+            .flat_map_iter(|i| self.soft_residuals(i, soft))
+            .collect();
+        if residuals.is_empty() {
+            return 0.0;
+        }
+        let middle = residuals.len() / 2;
+        let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+        // The median of a squared two-dimensional normal residual is 2 ln 2 sigma^2.
+        let variance = *median / (2.0 * std::f64::consts::LN_2);
+        if variance.is_finite() { variance.sqrt() } else { 0.0 }
+    }
+
+    /// Squared residuals (px^2) about the softly re-weighted point, corrected for its three fitted coordinates.
+    fn soft_residuals(&self, i: usize, soft: f64) -> Vec<f64> {
+        let mut views = Vec::new();
+        gather(self.previous[i], self.cameras, self.observations, i, &mut views);
+        let n = views.len() as f64;
+        let start = rays::solve(&views, |v| rays::pixels_per_metre_squared(v, DVec3::ZERO));
+        let Some(start) = start.filter(|_| views.len() >= 3) else { return Vec::new() };
+        let point = robust::soften(&views, start, soft);
+        let correction = 2.0 * n / (2.0 * n - 3.0);
+        views.iter().map(|v| v.weight * v.error_squared(point) * correction).collect()
+    }
+}
+
+/// `s0^2 = sum of all residuals / sum of all degrees of freedom` (px^2), summed in order.
+fn pooled_variance(solutions: &[Outcome]) -> f64 {
+    let solved = solutions.iter().flatten();
+    let (sum, degrees) = solved.fold((0.0, 0.0), |(r, k), s| (r + s.residuals, k + s.degrees));
+    if degrees > 0.0 { sum / degrees } else { 1.0 }
+}
+
+/// Shrinks the variance, scales the covariance and applies the acceptance limits.
+fn finish(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
+    let failed = |status| (DVec3::ZERO, DMat3::ZERO, status);
+    let solution = match outcome {
+        Ok(solution) => solution,
+        Err(status) => return failed(*status),
+    };
+    let prior = config.pooled_degrees;
+    let variance = (prior * pooled + solution.residuals) / (prior + solution.degrees);
+    let covariance = solution.unit_covariance * variance.max(config.min_noise_px * config.min_noise_px);
+    let rms = (solution.residuals / solution.views as f64).sqrt();
+    if !(rms <= config.max_residual_px) {
+        return failed(EstimateStatus::Residual);
+    }
+    let length = solution.step.length();
+    let direction = solution.step.normalize_or_zero();
+    let own_sigma = direction.dot(covariance * direction).max(0.0).sqrt();
+    if !(length - 3.0 * own_sigma <= config.max_step_m) {
+        return failed(EstimateStatus::Step);
+    }
+    (solution.step, covariance, EstimateStatus::Ok)
+}
+
+fn check_shapes(
+    previous: &[DVec3],
+    cameras: &[Camera],
+    observations: &Observations,
+) -> Result<(), TriangulationError> {
+    let Observations { views, gaussians, .. } = *observations;
+    if views != cameras.len() || gaussians != previous.len() {
+        let (cameras, means) = (cameras.len(), previous.len());
+        return Err(TriangulationError::Shape { views, gaussians, cameras, means });
+    }
+    let expected = views * gaussians;
+    for found in [observations.targets.len(), observations.weights.len()] {
+        if found != expected {
+            return Err(TriangulationError::Column { found, expected });
+        }
+    }
+    Ok(())
+}
