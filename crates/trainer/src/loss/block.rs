@@ -1,7 +1,7 @@
 //! The two passes over one band of rows and one channel: SSIM statistics, then the gradient.
 
 use super::region::Span;
-use super::window::{LANES, RADIUS, WINDOW, filter_column, filter_row};
+use super::window::{LANES, RADIUS, WINDOW, filter_columns, filter_row};
 use super::{BAND, MAX_COLUMNS, Padded};
 use crate::simd::{Kernel, fma};
 use ffgs_core::{ImageSize, Mask};
@@ -132,14 +132,15 @@ impl Statistics<'_> {
     fn finish<const FMA: bool>(&mut self, span: Span) {
         let mut weights = [0.0; MAX_COLUMNS];
         let mut total = [0.0; LANES];
+        let mut filtered = [[0.0; MAX_COLUMNS]; 4];
         let rows = BAND.min(self.channel.size.height - self.band * BAND);
         for r in 0..rows {
             self.channel.weights(self.band * BAND + r, span.x0, &mut weights[..span.columns]);
+            for (out, map) in filtered.iter_mut().zip(&*self.maps) {
+                filter_columns::<FMA, MAX_COLUMNS>(&map[r..], span.columns, out);
+            }
             for column in (0..span.columns).step_by(LANES) {
-                let mut means = [[0.0; LANES]; 4];
-                for (mean, map) in means.iter_mut().zip(&*self.maps) {
-                    *mean = filter_column::<FMA, MAX_COLUMNS>(&map[r..], column);
-                }
+                let means = chunks_of(&filtered, column);
                 let weight: &[f32; LANES] = weights[column..column + LANES].try_into().expect("a chunk");
                 let partials = partials_of(&means, weight, &mut total);
                 for (m, partial) in partials.iter().enumerate() {
@@ -238,23 +239,23 @@ impl Gradient<'_> {
         let (mut x, mut y) = ([0.0; LOADED], [0.0; LOADED]);
         let mut weights = [0.0; MAX_COLUMNS];
         let mut totals = [[0.0; LANES]; 2];
+        let mut filtered = [[0.0; MAX_COLUMNS]; 3];
         let rows = self.output.len() / width;
         for r in 0..rows {
             let row = self.band * BAND + r;
             let n = span.columns + 2 * RADIUS;
             self.channel.load(row + RADIUS, span.x0, &mut x[..n], &mut y[..n]);
             self.channel.weights(row, span.x0, &mut weights[..span.columns]);
+            for (out, map) in filtered.iter_mut().zip(&*self.maps) {
+                filter_columns::<FMA, MAX_COLUMNS>(&map[r..], span.columns, out);
+            }
             for column in (0..span.columns).step_by(LANES) {
                 let chunk = |v: &[f32; LOADED]| -> [f32; LANES] {
                     v[column + RADIUS..column + RADIUS + LANES].try_into().expect("a chunk")
                 };
                 let weight = weights[column..column + LANES].try_into().expect("a chunk");
                 let pixels = Pixels { x: chunk(&x), y: chunk(&y), weight };
-                let mut means = [[0.0; LANES]; 3];
-                // Loops, not `map`: a closure passed to core would be compiled without the instruction set.
-                for (mean, map) in means.iter_mut().zip(&*self.maps) {
-                    *mean = filter_column::<FMA, MAX_COLUMNS>(&map[r..], column);
-                }
+                let means = chunks_of(&filtered, column);
                 let values = pixels.gradient::<FMA>(&means, self.factors, &mut totals);
                 let first = span.x0 + column;
                 let count = LANES.min(width - first);
@@ -292,6 +293,17 @@ impl Pixels {
         }
         out
     }
+}
+
+/// The same chunk of several rows. A loop, not `map`: a closure passed to core would be compiled without the
+/// instruction set.
+#[inline(always)]
+fn chunks_of<const N: usize>(rows: &[[f32; MAX_COLUMNS]; N], column: usize) -> [[f32; LANES]; N] {
+    let mut out = [[0.0; LANES]; N];
+    for (chunk, row) in out.iter_mut().zip(rows) {
+        chunk.copy_from_slice(&row[column..column + LANES]);
+    }
+    out
 }
 
 #[inline(always)]
