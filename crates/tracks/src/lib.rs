@@ -1,1 +1,25 @@
 //! Tracker outputs (npz, flo, EXR, npy) to the motion types of core, and their validation.
+//!
+//! `tracks/tracks.json` of a capture names the trackers:
+//!
+//! ```json
+//! {"trackers": [{"name": "xfeat", "level": "sparse", "format": "npz",
+//!                "pattern": "xfeat/{camera}/{frame:06}.npz", "pixel_center": "integer"}]}
+//! ```
+//!
+//! A file of frame t holds the motion from t-1 to t. Motion leaves this crate in continuous pixel coordinates with
+//! pixel centres at + 0.5, finite, and of the size of its camera.
+
+mod check;
+mod correspondences;
+mod dense;
+mod error;
+mod exr_flow;
+mod flo;
+mod index;
+mod store;
+
+pub use check::{TrackerSummary, TracksFault, TracksReport, check};
+pub use error::TracksError;
+pub use index::{PixelCenter, TrackFormat, Tracker};
+pub use store::{LoadStats, TrackStore};

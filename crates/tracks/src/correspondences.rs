@@ -1,0 +1,67 @@
+use crate::{LoadStats, PixelCenter, TracksError};
+use ffgs_arrays::{Array, NpzFile};
+use ffgs_core::TrackSet;
+use std::path::Path;
+
+/// Reads correspondences; rows that are not finite are dropped and counted.
+pub(crate) fn read(
+    file: &Path,
+    center: PixelCenter,
+    stats: &mut LoadStats,
+) -> Result<TrackSet, TracksError> {
+    let npz = NpzFile::open(file)?;
+    let positions = |name: &str| npz.f32(name)?.expect_shape(&[None, Some(2)]);
+    let (src, tgt) = (positions("src")?, positions("tgt")?);
+    same_rows(file, "tgt", &src, &tgt)?;
+    let visibility = column(&npz, file, "visibility", &src)?;
+    let score = column(&npz, file, "score", &src)?;
+    let rows = src.rows::<2>().unwrap_or_default().iter().zip(tgt.rows::<2>().unwrap_or_default());
+    let mut out = TrackSet::default();
+    for (i, (src, tgt)) in rows.enumerate() {
+        let visible = visibility.as_ref().map_or(1.0, |v| v.data[i]);
+        let scored = score.as_ref().map_or(1.0, |s| s.data[i]);
+        if src.iter().chain(tgt).chain([&visible, &scored]).all(|v| v.is_finite()) {
+            out.src.push(to_half_centers(*src, center));
+            out.tgt.push(to_half_centers(*tgt, center));
+            out.visibility.push(visible.clamp(0.0, 1.0));
+        }
+    }
+    stats.read += src.shape[0];
+    stats.dropped += src.shape[0] - out.src.len();
+    Ok(out)
+}
+
+/// The one place where a tracker's pixel convention becomes ours (centre of the first pixel at (0.5, 0.5)).
+/// Displacements are the same in both.
+pub(crate) fn to_half_centers([x, y]: [f32; 2], center: PixelCenter) -> [f32; 2] {
+    match center {
+        PixelCenter::Integer => [x + 0.5, y + 0.5],
+        PixelCenter::Half => [x, y],
+    }
+}
+
+fn column(
+    npz: &NpzFile,
+    file: &Path,
+    name: &'static str,
+    src: &Array<f32>,
+) -> Result<Option<Array<f32>>, TracksError> {
+    if !npz.has(name) {
+        return Ok(None);
+    }
+    let mut values = npz.f32(name)?;
+    if values.shape.len() == 2 && values.shape[1] == 1 {
+        values.shape.pop();
+    }
+    let values = values.expect_shape(&[None])?;
+    same_rows(file, name, src, &values)?;
+    Ok(Some(values))
+}
+
+fn same_rows(file: &Path, column: &'static str, src: &Array<f32>, other: &Array<f32>) -> Result<(), TracksError> {
+    let (expected, found) = (src.shape[0], other.shape[0]);
+    if expected == found {
+        return Ok(());
+    }
+    Err(TracksError::Columns { file: file.to_owned(), column, expected, found })
+}

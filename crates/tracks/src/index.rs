@@ -1,0 +1,92 @@
+use crate::TracksError;
+use ffgs_core::TrackerLevel;
+use serde::Deserialize;
+use std::fs;
+use std::path::Path;
+
+/// File format of a tracker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TrackFormat {
+    /// Correspondences: `src`, `tgt` (N, 2) px, optional `visibility`, `score` (N).
+    Npz,
+    /// Middlebury optical flow.
+    Flo,
+    /// Optical flow in the channels U, V of an OpenEXR image.
+    Exr,
+    /// Optical flow as a numpy array (H, W, 2).
+    Npy,
+}
+
+/// Where a tracker's coordinates put the centre of the first pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PixelCenter {
+    /// At (0, 0), as most trackers do.
+    #[default]
+    Integer,
+    /// At (0.5, 0.5), as this project does.
+    Half,
+}
+
+/// One entry of tracks.json.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+pub struct Tracker {
+    /// Name in reports and options.
+    pub name: String,
+    /// How densely it covers the image.
+    pub level: TrackerLevel,
+    /// File format.
+    pub format: TrackFormat,
+    /// Path below `tracks/` with `{camera}` and `{frame}` or, zero-padded, `{frame:06}`.
+    pub pattern: String,
+    /// Its pixel convention.
+    #[serde(default)]
+    pub pixel_center: PixelCenter,
+}
+
+#[derive(Deserialize)]
+struct Index {
+    trackers: Vec<Tracker>,
+}
+
+pub(crate) fn read_index(file: &Path) -> Result<Vec<Tracker>, TracksError> {
+    let text = fs::read_to_string(file).map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
+    let fail = |reason: String| TracksError::Index { file: file.to_owned(), reason };
+    let trackers = serde_json::from_str::<Index>(&text).map_err(|e| fail(e.to_string()))?.trackers;
+    for (i, tracker) in trackers.iter().enumerate() {
+        tracker.validate().map_err(|reason| fail(format!("tracker '{}': {reason}", tracker.name)))?;
+        if trackers[..i].iter().any(|t| t.name == tracker.name) {
+            return Err(fail(format!("two trackers are named '{}'", tracker.name)));
+        }
+    }
+    Ok(trackers)
+}
+
+impl Tracker {
+    fn validate(&self) -> Result<(), String> {
+        let flow = self.format != TrackFormat::Npz;
+        if flow != (self.level == TrackerLevel::Dense) {
+            return Err(format!("level {:?} does not go with format {:?}", self.level, self.format));
+        }
+        if !self.pattern.contains("{camera}") || !self.pattern.contains("{frame") {
+            return Err(format!("pattern {:?} lacks {{camera}} or {{frame:06}}", self.pattern));
+        }
+        if self.pattern.starts_with('/') || self.pattern.split('/').any(|part| part == "..") {
+            return Err(format!("pattern {:?} leaves the tracks folder", self.pattern));
+        }
+        self.expand("camera", 0).map(|_| ())
+    }
+
+    /// The pattern with camera and frame put in.
+    pub(crate) fn expand(&self, camera: &str, frame: usize) -> Result<String, String> {
+        let (before, rest) = self.pattern.split_once("{frame").ok_or("no {frame} in the pattern")?;
+        let (format, after) = rest.split_once('}').ok_or("'{frame' is not closed")?;
+        let width = match format.strip_prefix(":0") {
+            Some(width) => width.trim_end_matches('d').parse().ok().filter(|w| *w < 100),
+            None => format.is_empty().then_some(0),
+        };
+        let width: usize = width.ok_or_else(|| format!("'{{frame{format}}}' is not {{frame}} or {{frame:06}}"))?;
+        Ok(format!("{before}{frame:0width$}{after}").replace("{camera}", camera))
+    }
+}
