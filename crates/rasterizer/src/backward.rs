@@ -1,0 +1,211 @@
+//! The backward pass over tiles: from pixel derivatives to derivatives per (tile, splat) entry.
+
+use crate::blend::{AREA, Contribution, MAX_ALPHA, TilePlane, Visitor, walk};
+use crate::contract::{DifferentiableRasterizer, View};
+use crate::cpu::{CpuRasterizer, tile_origin};
+use crate::gradients::{Gradients, PixelGradients};
+use crate::projection::Splat;
+use crate::projection_backward::to_parameters;
+use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
+use ffgs_core::Gaussians;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Number of derivatives per entry: mean x, y; conic xx, xy, yy; opacity; colour r, g, b.
+pub(crate) const ENTRY: usize = 9;
+
+impl DifferentiableRasterizer for CpuRasterizer {
+    fn backward(
+        &self,
+        gaussians: &Gaussians,
+        view: &View,
+        tape: &mut RenderTape,
+        upstream: &PixelGradients,
+        out: &mut Gradients,
+    ) {
+        differentiate_tiles(view, tape, upstream);
+        if let crate::Background::Colour(_) = view.background {
+            add_background(view, tape, upstream, &mut out.background);
+        }
+        to_parameters(gaussians, view, self.options, tape, out);
+    }
+}
+
+fn differentiate_tiles(view: &View, tape: &mut RenderTape, upstream: &PixelGradients) {
+    let arch = Arch::new();
+    let RenderTape { pixels, lists, splats, grid, entry_gradients, .. } = tape;
+    entry_gradients.resize(lists.len(), [0.0; ENTRY]);
+    for_each_tile_slice(&lists.starts, entry_gradients, &|tile, entries| {
+        if !entries.is_empty() {
+            let start = lists.starts[tile] as usize;
+            let slots = &lists.slots[start..start + entries.len()];
+            let input = TileUpstream::new(view, *grid, tile, &pixels[tile], upstream);
+            arch.dispatch(TileBackward { origin: tile_origin(tile, *grid), splats, slots, input, entries });
+        }
+    });
+}
+
+/// Runs `f(tile, its slice of values)` in parallel without allocating: halves the tile range recursively.
+pub(crate) fn for_each_tile_slice<T: Send>(starts: &[u32], values: &mut [T], f: &(impl Fn(usize, &mut [T]) + Sync)) {
+    fn recurse<T: Send>(
+        starts: &[u32],
+        first: usize,
+        values: &mut [T],
+        f: &(impl Fn(usize, &mut [T]) + Sync),
+    ) {
+        let tiles = starts.len() - 1;
+        if tiles == 1 {
+            return f(first, values);
+        }
+        let middle = tiles / 2;
+        let (left, right) = values.split_at_mut((starts[middle] - starts[0]) as usize);
+        rayon::join(
+            || recurse(&starts[..=middle], first, left, f),
+            || recurse(&starts[middle..], first + middle, right, f),
+        );
+    }
+    if starts.len() > 1 {
+        recurse(starts, 0, values, f);
+    }
+}
+
+fn add_background(view: &View, tape: &RenderTape, upstream: &PixelGradients, out: &mut [f64; 3]) {
+    for (channel, sum) in out.iter_mut().enumerate() {
+        let gradient = upstream.image.plane(channel);
+        for (tile, pixels) in tape.pixels.iter().enumerate() {
+            if view.tiles.is_none_or(|m| m.is_active(tile)) {
+                for_each_pixel(view.camera.size(), tape.grid, tile, |pixel, local| {
+                    *sum += f64::from(gradient[pixel]) * f64::from(pixels.transmittance.0[local]);
+                });
+            }
+        }
+    }
+}
+
+/// Pixel derivatives of one tile, and what of them does not depend on the splat.
+struct TileUpstream {
+    rgb: [TilePlane; 3],
+    /// Derivative of the loss with respect to `ln T_final`, plus everything blended behind the current splat.
+    behind: TilePlane,
+}
+
+impl TileUpstream {
+    fn new(
+        view: &View,
+        grid: crate::tiles::TileGrid,
+        tile: usize,
+        pixels: &TilePixels,
+        upstream: &PixelGradients,
+    ) -> Self {
+        let size = view.camera.size();
+        let rgb = [0, 1, 2].map(|c| gather(size, grid, tile, upstream.image.plane(c)));
+        let mut behind = TilePlane::ZERO;
+        for_each_pixel(size, grid, tile, |pixel, local| {
+            let background = view.background.pixel(pixel);
+            let through = upstream.transmittance.map_or(0.0, |t| t[pixel])
+                + (0..3).map(|c| rgb[c].0[local] * background[c]).sum::<f32>();
+            let blended: f32 = (0..3).map(|c| rgb[c].0[local] * pixels.rgb[c].0[local]).sum();
+            behind.0[local] = blended + pixels.transmittance.0[local] * through;
+        });
+        Self { rgb, behind }
+    }
+}
+
+struct TileBackward<'a> {
+    origin: [usize; 2],
+    splats: &'a [Splat],
+    slots: &'a [u32],
+    input: TileUpstream,
+    entries: &'a mut [[f32; ENTRY]],
+}
+
+impl WithSimd for TileBackward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { origin, splats, slots, mut input, entries } = self;
+        entries.fill([0.0; ENTRY]);
+        let zero = simd.splat_f32s(0.0);
+        let [r, g, b] = &input.rgb;
+        let mut visitor = Differentiate::<S> {
+            rgb: [r, g, b].map(|plane| S::as_simd_f32s(&plane.0).0),
+            behind: S::as_mut_simd_f32s(&mut input.behind.0).0,
+            colour: [zero; 3],
+            opacity: zero,
+            conic: [0.0; 3],
+            sums: [zero; ENTRY],
+            entries,
+        };
+        let mut transmittance = TilePlane([1.0; AREA]);
+        walk(simd, origin, splats, slots, &mut transmittance, &mut visitor);
+    }
+}
+
+/// Front to back: `behind` starts as everything the pixel shows (weighted by the upstream derivative) and loses each
+/// contribution in turn, so no transmittance is ever divided back out of a product.
+struct Differentiate<'a, S: Simd> {
+    rgb: [&'a [S::f32s]; 3],
+    behind: &'a mut [S::f32s],
+    colour: [S::f32s; 3],
+    opacity: S::f32s,
+    conic: [f32; 3],
+    /// Sums of: ds, ds dx, ds dy, ds dx^2, ds dx dy, … are kept as the nine below.
+    sums: [S::f32s; ENTRY],
+    entries: &'a mut [[f32; ENTRY]],
+}
+
+impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
+    #[inline(always)]
+    fn begin(&mut self, simd: S, splat: &Splat) {
+        self.colour = splat.colour.map(|c| simd.splat_f32s(c));
+        self.opacity = simd.splat_f32s(splat.opacity);
+        self.conic = splat.conic;
+        self.sums = [simd.splat_f32s(0.0); ENTRY];
+    }
+
+    #[inline(always)]
+    fn visit(&mut self, simd: S, c: &Contribution<S>) {
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        let g = [0, 1, 2].map(|k| self.rgb[k][c.vector]);
+        let mut shade = simd.mul_f32s(g[0], self.colour[0]);
+        shade = simd.mul_add_e_f32s(g[1], self.colour[1], shade);
+        shade = simd.mul_add_e_f32s(g[2], self.colour[2], shade);
+        let behind = simd.sub_f32s(self.behind[c.vector], simd.mul_f32s(c.weight, shade));
+        self.behind[c.vector] = behind;
+        let hidden = simd.div_f32s(behind, simd.sub_f32s(one, c.alpha));
+        let d_alpha = simd.sub_f32s(simd.mul_f32s(c.transmittance, shade), hidden);
+        let free = simd.less_than_f32s(simd.mul_f32s(self.opacity, c.falloff), simd.splat_f32s(MAX_ALPHA));
+        let d_alpha = simd.select_f32s(simd.and_m32s(c.counts, free), d_alpha, zero);
+        let d_opacity = simd.mul_f32s(d_alpha, c.falloff);
+        // With respect to the exponent: alpha = o exp(-sigma).
+        let d_exponent = simd.mul_f32s(d_opacity, self.opacity);
+        let (ex, ey) = (simd.mul_f32s(d_exponent, c.dx), simd.mul_f32s(d_exponent, c.dy));
+        self.sums[0] = simd.add_f32s(self.sums[0], ex);
+        self.sums[1] = simd.add_f32s(self.sums[1], ey);
+        self.sums[2] = simd.mul_add_e_f32s(ex, c.dx, self.sums[2]);
+        self.sums[3] = simd.mul_add_e_f32s(ex, c.dy, self.sums[3]);
+        self.sums[4] = simd.mul_add_e_f32s(ey, c.dy, self.sums[4]);
+        self.sums[5] = simd.add_f32s(self.sums[5], d_opacity);
+        for k in 0..3 {
+            self.sums[6 + k] = simd.mul_add_e_f32s(c.weight, g[k], self.sums[6 + k]);
+        }
+    }
+
+    #[inline(always)]
+    fn end(&mut self, simd: S, entry: usize) {
+        let s = self.sums.map(|v| simd.reduce_sum_f32s(v));
+        let [a, b, c] = self.conic;
+        // sigma = a dx^2 / 2 + b dx dy + c dy^2 / 2 with dx = pixel - mean, and d_exponent = -dL/dsigma.
+        self.entries[entry] = [
+            a * s[0] + b * s[1],
+            b * s[0] + c * s[1],
+            -0.5 * s[2],
+            -s[3],
+            -0.5 * s[4],
+            s[5],
+            s[6],
+            s[7],
+            s[8],
+        ];
+    }
+}

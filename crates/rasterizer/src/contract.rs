@@ -1,0 +1,63 @@
+use crate::gradients::{Gradients, PixelGradients};
+use crate::tape::RenderTape;
+use crate::tiles::TileMask;
+use ffgs_core::{Camera, Gaussians, PlanarImage};
+
+/// What shows where the Gaussians leave transmittance.
+#[derive(Clone, Copy, Debug)]
+pub enum Background<'a> {
+    /// One colour.
+    Colour([f32; 3]),
+    /// A colour per pixel (the sky, or a layer behind), of the camera's size.
+    Image(&'a PlanarImage),
+}
+
+impl Background<'_> {
+    /// RGB behind pixel `index`.
+    pub(crate) fn pixel(&self, index: usize) -> [f32; 3] {
+        match self {
+            Self::Colour(rgb) => *rgb,
+            Self::Image(image) => image.pixel(index),
+        }
+    }
+}
+
+/// One view to render.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// Camera; its size is the image's.
+    pub camera: &'a Camera,
+    /// What shows behind the Gaussians.
+    pub background: Background<'a>,
+    /// Tiles to compute; `None` = all. Pixels of other tiles are black with transmittance 1.
+    pub tiles: Option<&'a TileMask>,
+}
+
+/// How to render.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RenderOptions {
+    /// Multiply the opacity by the share of the splat that survives the pixel filter (Mip-Splatting).
+    pub antialiased: bool,
+    /// SH degree to evaluate; `None` = the Gaussians' own. Lower while colours are still coarse.
+    pub sh_degree: Option<usize>,
+}
+
+/// Renders Gaussians.
+pub trait Rasterizer: Sync {
+    /// Renders one view into `tape`, which keeps the image, the transmittance and what the backward pass needs.
+    fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape);
+}
+
+/// Renders Gaussians and differentiates the image.
+pub trait DifferentiableRasterizer: Rasterizer {
+    /// Adds to `out` the derivatives of a loss whose derivative with respect to the image (and transmittance) of
+    /// `tape` is `upstream`. `gaussians` and `view` are those of the `render` call that filled `tape`.
+    fn backward(
+        &self,
+        gaussians: &Gaussians,
+        view: &View,
+        tape: &mut RenderTape,
+        upstream: &PixelGradients,
+        out: &mut Gradients,
+    );
+}

@@ -1,0 +1,105 @@
+//! Output of a render call, and what the backward pass reuses.
+
+use crate::blend::{AREA, TilePlane};
+use crate::projection::Splat;
+use crate::tiles::{Span, TILE, TileGrid, TileLists};
+use ffgs_core::{ImageSize, PlanarImage};
+
+/// Blended colour (without background) and final transmittance of one tile.
+#[derive(Clone, Debug)]
+pub(crate) struct TilePixels {
+    pub(crate) rgb: [TilePlane; 3],
+    pub(crate) transmittance: TilePlane,
+}
+
+impl Default for TilePixels {
+    fn default() -> Self {
+        Self { rgb: [TilePlane::ZERO; 3], transmittance: TilePlane::ONE }
+    }
+}
+
+/// Splats and spans that one chunk of Gaussians gave.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ChunkSplats {
+    pub(crate) splats: Vec<Splat>,
+    pub(crate) spans: Vec<Span>,
+}
+
+/// A rendered view. Reuse one per view size: nothing is allocated once its buffers have grown.
+#[derive(Clone, Debug)]
+pub struct RenderTape {
+    pub(crate) image: PlanarImage,
+    pub(crate) transmittance: Vec<f32>,
+    pub(crate) grid: TileGrid,
+    pub(crate) chunks: Vec<ChunkSplats>,
+    pub(crate) splats: Vec<Splat>,
+    pub(crate) spans: Vec<Span>,
+    pub(crate) lists: TileLists,
+    pub(crate) pixels: Vec<TilePixels>,
+    /// Derivatives per (tile, splat) entry.
+    pub(crate) entry_gradients: Vec<[f32; 9]>,
+    /// Splat slot of each Gaussian, or `u32::MAX`.
+    pub(crate) slot_of: Vec<u32>,
+}
+
+impl Default for RenderTape {
+    fn default() -> Self {
+        Self {
+            image: PlanarImage::zeros(ImageSize { width: 1, height: 1 }),
+            transmittance: Vec::new(),
+            grid: TileGrid::default(),
+            chunks: Vec::new(),
+            splats: Vec::new(),
+            spans: Vec::new(),
+            lists: TileLists::default(),
+            pixels: Vec::new(),
+            entry_gradients: Vec::new(),
+            slot_of: Vec::new(),
+        }
+    }
+}
+
+impl RenderTape {
+    /// The image, background included, not clamped.
+    pub fn image(&self) -> &PlanarImage {
+        &self.image
+    }
+
+    /// What the Gaussians let through per pixel, row-major; alpha is `1 -` this.
+    pub fn transmittance(&self) -> &[f32] {
+        &self.transmittance
+    }
+
+    /// Number of Gaussians that reach at least one computed tile.
+    pub fn visible(&self) -> usize {
+        self.splats.len()
+    }
+
+    /// Indices of the Gaussians that reach at least one computed tile, ascending.
+    pub fn visible_indices(&self) -> impl Iterator<Item = usize> + '_ {
+        self.splats.iter().map(|s| s.index as usize)
+    }
+
+    /// Number of (tile, splat) pairs: the unit of blending work.
+    pub fn tile_pairs(&self) -> usize {
+        self.lists.len()
+    }
+}
+
+/// Calls `visit(pixel index in the image, pixel index in the tile)` for the pixels of a tile inside the image.
+pub(crate) fn for_each_pixel(size: ImageSize, grid: TileGrid, tile: usize, mut visit: impl FnMut(usize, usize)) {
+    let (x0, y0) = (tile % grid.columns * TILE, tile / grid.columns * TILE);
+    for y in 0..TILE.min(size.height - y0) {
+        for x in 0..TILE.min(size.width - x0) {
+            visit((y0 + y) * size.width + x0 + x, y * TILE + x);
+        }
+    }
+}
+
+/// Collects one row-major value per pixel into a tile plane; 0 beyond the image.
+pub(crate) fn gather(size: ImageSize, grid: TileGrid, tile: usize, values: &[f32]) -> TilePlane {
+    let mut plane = TilePlane::ZERO;
+    for_each_pixel(size, grid, tile, |pixel, local| plane.0[local] = values[pixel]);
+    debug_assert!(plane.0.len() == AREA);
+    plane
+}

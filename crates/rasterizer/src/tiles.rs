@@ -1,0 +1,191 @@
+//! Exact coverage of tiles by splats, and the depth-ordered list of every tile.
+
+use crate::projection::Splat;
+use crate::sort::radix_sort;
+use ffgs_core::{ImageSize, Mask};
+
+/// Side of a square tile in pixels: one 16-lane vector a row.
+pub const TILE: usize = 16;
+
+/// Which tiles of a view to compute.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TileMask {
+    columns: usize,
+    active: Vec<bool>,
+}
+
+impl TileMask {
+    /// Tiles that hold at least one foreground pixel.
+    pub fn covering(mask: &Mask) -> Self {
+        let grid = TileGrid::new(mask.size());
+        let mut active = vec![false; grid.count()];
+        for (i, _) in mask.data().iter().enumerate().filter(|(_, v)| **v != 0) {
+            let (y, x) = (i / mask.size().width, i % mask.size().width);
+            active[y / TILE * grid.columns + x / TILE] = true;
+        }
+        Self { columns: grid.columns, active }
+    }
+
+    /// Whether a tile is computed, tiles counted row by row.
+    pub fn is_active(&self, tile: usize) -> bool {
+        self.active[tile]
+    }
+
+    /// Number of active tiles.
+    pub fn count(&self) -> usize {
+        self.active.iter().filter(|&&a| a).count()
+    }
+
+    fn any(&self, span: Span) -> bool {
+        let row = span.row as usize * self.columns;
+        self.active[row + span.first as usize..row + span.end as usize].iter().any(|&a| a)
+    }
+}
+
+/// The tiles of an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct TileGrid {
+    pub(crate) columns: usize,
+    pub(crate) rows: usize,
+}
+
+impl TileGrid {
+    pub(crate) fn new(size: ImageSize) -> Self {
+        Self { columns: size.width.div_ceil(TILE), rows: size.height.div_ceil(TILE) }
+    }
+
+    pub(crate) fn count(self) -> usize {
+        self.columns * self.rows
+    }
+}
+
+/// Tiles `first..end` of one tile row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Span {
+    row: u32,
+    first: u32,
+    end: u32,
+}
+
+/// Appends the tiles that a splat's ellipse `sigma <= reach` touches; `false` when none is active.
+pub(crate) fn cover(
+    splat: &mut Splat,
+    covariance: [f32; 3],
+    grid: TileGrid,
+    mask: Option<&TileMask>,
+    spans: &mut Vec<Span>,
+) -> bool {
+    let start = spans.len();
+    let reach = splat.squared_reach();
+    let [a, b, _] = splat.conic;
+    let [xx, xy, _] = covariance;
+    let (half_width, half_height) = ((reach * xx).sqrt(), splat.half_height);
+    let (rows, tile) = (grid.rows as f32, TILE as f32);
+    let clamp_tile = |v: f32, count: f32| (v / tile).floor().clamp(-1.0, count) as i32;
+    let first_row = clamp_tile(splat.mean[1] - half_height - 0.5, rows).max(0);
+    let last_row = clamp_tile(splat.mean[1] + half_height - 0.5, rows).min(grid.rows as i32 - 1);
+    let right_tip = half_width * xy / xx; // the y offset of the ellipse's rightmost point
+    let edge = |dy: f32| (-b / a * dy, (reach / a - dy * dy * splat.shrink).max(0.0).sqrt());
+    for row in first_row..=last_row {
+        let top = (row as f32 * tile + 0.5 - splat.mean[1]).max(-half_height);
+        let bottom = (row as f32 * tile + tile - 0.5 - splat.mean[1]).min(half_height);
+        let (at_right, at_left) = (right_tip.clamp(top, bottom.max(top)), (-right_tip).clamp(top, bottom.max(top)));
+        let ((cr, wr), (cl, wl)) = (edge(at_right), edge(at_left));
+        let first = clamp_tile(splat.mean[0] + cl - wl - 0.5 - 0.01, grid.columns as f32).max(0);
+        let last = clamp_tile(splat.mean[0] + cr + wr - 0.5 + 0.01, grid.columns as f32).min(grid.columns as i32 - 1);
+        if first <= last {
+            let span = Span { row: row as u32, first: first as u32, end: last as u32 + 1 };
+            if mask.is_none_or(|m| m.any(span)) {
+                spans.push(span);
+            }
+        }
+    }
+    splat.spans = (start as u32, (spans.len() - start) as u32);
+    spans.len() > start
+}
+
+/// Depth-ordered splat lists of all tiles.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TileLists {
+    /// Tile `t` owns entries `starts[t]..starts[t + 1]`.
+    pub(crate) starts: Vec<u32>,
+    /// Splat slot per entry, front to back.
+    pub(crate) slots: Vec<u32>,
+    /// Splat `s` owns `entry_starts[s]..entry_starts[s + 1]` of `entries`.
+    pub(crate) entry_starts: Vec<u32>,
+    /// Entry numbers of each splat, in a fixed order.
+    pub(crate) entries: Vec<u32>,
+    order: Vec<(u32, u32)>,
+    scratch: Vec<(u32, u32)>,
+    cursors: Vec<u32>,
+}
+
+impl TileLists {
+    /// Number of (tile, splat) entries.
+    pub(crate) fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// Sorts by depth (ties by index) and deals the splats to their tiles.
+    pub(crate) fn build(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+        self.order.clear();
+        self.order.extend(splats.iter().enumerate().map(|(slot, s)| (s.depth.to_bits(), slot as u32)));
+        radix_sort(&mut self.order, &mut self.scratch);
+        self.count(splats, spans, grid, mask);
+        self.deal(splats, spans, grid, mask);
+    }
+
+    fn count(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+        self.starts.clear();
+        self.starts.resize(grid.count() + 1, 0);
+        self.entry_starts.clear();
+        self.entry_starts.push(0);
+        let mut total = 0;
+        for splat in splats {
+            for_each_tile(splat, spans, grid, mask, |tile| {
+                self.starts[tile + 1] += 1;
+                total += 1;
+            });
+            self.entry_starts.push(total);
+        }
+        for tile in 0..grid.count() {
+            self.starts[tile + 1] += self.starts[tile];
+        }
+    }
+
+    fn deal(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+        let total = self.starts[grid.count()] as usize;
+        self.slots.resize(total, 0);
+        self.entries.resize(total, 0);
+        self.cursors.clear();
+        self.cursors.extend_from_slice(&self.starts[..grid.count()]);
+        for &(_, slot) in &self.order {
+            let mut rank = self.entry_starts[slot as usize] as usize;
+            for_each_tile(&splats[slot as usize], spans, grid, mask, |tile| {
+                let entry = self.cursors[tile];
+                self.cursors[tile] += 1;
+                self.slots[entry as usize] = slot;
+                self.entries[rank] = entry;
+                rank += 1;
+            });
+        }
+    }
+}
+
+fn for_each_tile(
+    splat: &Splat,
+    spans: &[Span],
+    grid: TileGrid,
+    mask: Option<&TileMask>,
+    mut visit: impl FnMut(usize),
+) {
+    let (start, count) = (splat.spans.0 as usize, splat.spans.1 as usize);
+    for span in &spans[start..start + count] {
+        let row = span.row as usize * grid.columns;
+        for tile in row + span.first as usize..row + span.end as usize {
+            if mask.is_none_or(|m| m.active[tile]) {
+                visit(tile);
+            }
+        }
+    }
+}
