@@ -61,11 +61,18 @@ fn check_tracker(
     report: &mut TracksReport,
 ) {
     let items: Vec<_> = cameras.iter().flat_map(|camera| (1..frames).map(move |t| (camera, t))).collect();
-    let load = |((name, size), t): (&(String, ImageSize), usize)| count(store.load_counted(tracker, name, t, *size));
+    let load =
+        |((name, size), t): (&(String, ImageSize), usize)| count(store.load_counted(tracker, name, t, *size));
     let counts: Vec<_> = items.into_par_iter().map(load).collect();
     let entry = &store.trackers()[tracker];
-    let mut summary =
-        TrackerSummary { name: entry.name.clone(), level: entry.level, files: 0, missing: 0, tracks: 0, dropped: 0 };
+    let mut summary = TrackerSummary {
+        name: entry.name.clone(),
+        level: entry.level,
+        files: 0,
+        missing: 0,
+        tracks: 0,
+        dropped: 0,
+    };
     for item in counts {
         match item {
             Ok(Some(stats)) => {

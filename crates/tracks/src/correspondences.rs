@@ -4,11 +4,7 @@ use ffgs_core::TrackSet;
 use std::path::Path;
 
 /// Reads correspondences; rows that are not finite are dropped and counted.
-pub(crate) fn read(
-    file: &Path,
-    center: PixelCenter,
-    stats: &mut LoadStats,
-) -> Result<TrackSet, TracksError> {
+pub(crate) fn read(file: &Path, center: PixelCenter, stats: &mut LoadStats) -> Result<TrackSet, TracksError> {
     let npz = NpzFile::open(file)?;
     let positions = |name: &str| npz.f32(name)?.expect_shape(&[None, Some(2)]);
     let (src, tgt) = (positions("src")?, positions("tgt")?);
@@ -58,10 +54,29 @@ fn column(
     Ok(Some(values))
 }
 
-fn same_rows(file: &Path, column: &'static str, src: &Array<f32>, other: &Array<f32>) -> Result<(), TracksError> {
+fn same_rows(
+    file: &Path,
+    column: &'static str,
+    src: &Array<f32>,
+    other: &Array<f32>,
+) -> Result<(), TracksError> {
     let (expected, found) = (src.shape[0], other.shape[0]);
     if expected == found {
         return Ok(());
     }
     Err(TracksError::Columns { file: file.to_owned(), column, expected, found })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn integer_centres_shift_by_half_a_pixel_and_flows_stay() {
+        let (a, b) = ([3.0, 4.0], [13.0, -6.0]);
+        let (c, d) = (to_half_centers(a, PixelCenter::Integer), to_half_centers(b, PixelCenter::Integer));
+        assert_eq!((c, d), ([3.5, 4.5], [13.5, -5.5]));
+        assert_eq!([d[0] - c[0], d[1] - c[1]], [b[0] - a[0], b[1] - a[1]]);
+        assert_eq!(to_half_centers(a, PixelCenter::Half), a);
+    }
 }

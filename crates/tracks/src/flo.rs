@@ -27,7 +27,7 @@ pub(crate) fn read(file: &Path) -> Result<RawFlow, TracksError> {
         let ImageSize { width, height } = size;
         return Err(fail(format!("{width} x {height} needs {expected} bytes, found {found}")));
     }
-    let flow = bytes.as_chunks::<8>().0.iter().map(|b| [float(b, 0), float(b, 4)]).collect();
+    let flow = bytes.as_chunks::<8>().0.iter().map(|b| [float(*b, 0), float(*b, 4)]).collect();
     Ok(RawFlow { size, flow })
 }
 
@@ -37,6 +37,6 @@ fn size(header: &[u8; HEADER_BYTES]) -> Option<ImageSize> {
     Some(ImageSize { width: side(int(4))?, height: side(int(8))? })
 }
 
-fn float(bytes: &[u8; 8], at: usize) -> f32 {
+fn float(bytes: [u8; 8], at: usize) -> f32 {
     f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }

@@ -51,7 +51,8 @@ struct Index {
 }
 
 pub(crate) fn read_index(file: &Path) -> Result<Vec<Tracker>, TracksError> {
-    let text = fs::read_to_string(file).map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
+    let text =
+        fs::read_to_string(file).map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
     let fail = |reason: String| TracksError::Index { file: file.to_owned(), reason };
     let trackers = serde_json::from_str::<Index>(&text).map_err(|e| fail(e.to_string()))?.trackers;
     for (i, tracker) in trackers.iter().enumerate() {
@@ -86,7 +87,8 @@ impl Tracker {
             Some(width) => width.trim_end_matches('d').parse().ok().filter(|w| *w < 100),
             None => format.is_empty().then_some(0),
         };
-        let width: usize = width.ok_or_else(|| format!("'{{frame{format}}}' is not {{frame}} or {{frame:06}}"))?;
+        let width: usize =
+            width.ok_or_else(|| format!("'{{frame{format}}}' is not {{frame}} or {{frame:06}}"))?;
         Ok(format!("{before}{frame:0width$}{after}").replace("{camera}", camera))
     }
 }

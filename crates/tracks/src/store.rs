@@ -39,7 +39,8 @@ impl TrackStore {
     pub fn path(&self, tracker: usize, camera: &str, frame: usize) -> Result<PathBuf, TracksError> {
         let entry = self.trackers.get(tracker).ok_or(TracksError::NoSuchTracker(tracker))?;
         let index = || self.folder.join("tracks.json");
-        let file = entry.expand(camera, frame).map_err(|reason| TracksError::Index { file: index(), reason })?;
+        let file =
+            entry.expand(camera, frame).map_err(|reason| TracksError::Index { file: index(), reason })?;
         Ok(self.folder.join(file))
     }
 

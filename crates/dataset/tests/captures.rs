@@ -1,0 +1,169 @@
+//! A small synthetic capture, and every way in which it can be wrong.
+
+use ffgs_arrays::NpzWriter;
+use ffgs_dataset::{Capture, CheckReport, DatasetError, Split, check};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+const POSES: [&str; 2] =
+    ["[[1,0,0,0],[0,1,0,0],[0,0,1,2],[0,0,0,1]]", "[[1,0,0,-0.5],[0,1,0,0],[0,0,1,2],[0,0,0,1]]"];
+
+/// Two cameras, two frames, 4 x 2 pixels; the second frame lists the cameras in the other order.
+fn capture() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let k = "[[4,0,1.5],[0,4,1],[0,0,1]]";
+    let [a, b] = POSES;
+    let meta = format!(
+        r#"{{"w":4,"h":2,"k":[[{k},{k}],[{k},{k}]],"w2c":[[{a},{b}],[{b},{a}]],
+        "fn":[["a/000000.png","b/000000.png"],["b/000001.png","a/000001.png"]],"cam_id":[[0,1],[1,0]]}}"#
+    );
+    fs::write(root.join("train_meta.json"), meta).unwrap();
+    for camera in ["a", "b"] {
+        for frame in 0..2 {
+            let name = format!("{camera}/{frame:06}.png");
+            save(
+                &root.join("ims").join(&name),
+                &image::RgbImage::from_pixel(4, 2, image::Rgb([9, 8, 7])).into(),
+            );
+            save(
+                &root.join("seg").join(&name),
+                &image::GrayImage::from_fn(4, 2, |x, _| image::Luma([u8::from(x == 0)])).into(),
+            );
+        }
+    }
+    write_points(root, &[0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 1.0]);
+    folder
+}
+
+fn save(path: &Path, image: &image::DynamicImage) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image.save(path).unwrap();
+}
+
+fn write_points(root: &Path, rows: &[f32]) {
+    NpzWriter::new().f32("data", &[rows.len() / 7, 7], rows).write(&root.join("init_pt_cld.npz")).unwrap();
+}
+
+fn edit(root: &Path, from: &str, to: &str) {
+    let file = root.join("train_meta.json");
+    let text = fs::read_to_string(&file).unwrap();
+    assert!(text.contains(from));
+    fs::write(file, text.replacen(from, to, 1)).unwrap();
+}
+
+fn report(root: &Path) -> CheckReport {
+    check(&Capture::open(root).unwrap())
+}
+
+fn assert_fault(root: &Path, text: &str) {
+    let report = report(root).to_string();
+    assert!(report.contains(text) && report.contains("fix:"), "{text:?} not in\n{report}");
+}
+
+#[test]
+fn a_sound_capture_has_no_fault_and_reads_by_camera() {
+    let folder = capture();
+    let capture = Capture::open(folder.path()).unwrap();
+    assert!(check(&capture).is_usable(), "{}", check(&capture));
+    assert_eq!(
+        (capture.frames(), capture.views(Split::Train).len(), capture.views(Split::Test).len()),
+        (2, 2, 0)
+    );
+    for frame in 0..2 {
+        assert_eq!(capture.camera(Split::Train, 1, frame).unwrap().translation().x, -0.5);
+    }
+    assert_eq!(capture.load_image(Split::Train, 0, 1).unwrap().data()[..3], [9, 8, 7]);
+    assert_eq!(capture.load_mask(Split::Train, 0, 1).unwrap().unwrap().count(), 2);
+    assert_eq!(capture.initial_points().unwrap().foreground, [true]);
+    assert!(capture.camera(Split::Test, 0, 0).is_err() && capture.load_image(Split::Train, 0, 9).is_err());
+}
+
+#[test]
+fn missing_truncated_and_resized_images_are_faults() {
+    let folder = capture();
+    let image = folder.path().join("ims/b/000001.png");
+    let bytes = fs::read(&image).unwrap();
+    for length in 0..bytes.len() - 12 {
+        fs::write(&image, &bytes[..length]).unwrap();
+        let capture = Capture::open(folder.path()).unwrap();
+        assert!(
+            matches!(capture.load_image(Split::Train, 1, 1), Err(DatasetError::Image { .. })),
+            "{length}"
+        );
+    }
+    assert_fault(folder.path(), "b/000001.png: not a readable image");
+    save(&image, &image::RgbImage::new(5, 2).into());
+    assert_fault(folder.path(), "b/000001.png: image is 5 x 2, but its camera is 4 x 2");
+    fs::remove_file(&image).unwrap();
+    assert_fault(folder.path(), "b/000001.png: No such file");
+}
+
+#[test]
+fn masks_may_be_missing_only_as_a_fault_and_not_all_empty() {
+    let folder = capture();
+    let seg = folder.path().join("seg");
+    let empty = image::GrayImage::new(4, 2).into();
+    ["a/000000", "a/000001"].iter().for_each(|n| save(&seg.join(format!("{n}.png")), &empty));
+    let notes = report(folder.path());
+    assert!(notes.is_usable() && notes.notes.iter().any(|n| n.text.contains("2 of 2 masks are empty")));
+    ["b/000000", "b/000001"].iter().for_each(|n| save(&seg.join(format!("{n}.png")), &empty));
+    assert_fault(folder.path(), "every training mask is empty");
+    fs::remove_file(seg.join("b/000001.png")).unwrap();
+    assert_fault(folder.path(), "1 of 2 masks are missing");
+}
+
+#[test]
+fn cameras_that_are_none_are_faults() {
+    for (from, to, text) in [
+        ("[0,0,1,2]", "[0,0,NaN,2]", "camera 'a', frame 0: camera holds a value that is not finite"),
+        ("[0,0,1,2]", "[0,0,-1,2]", "not a rigid transform"),
+        ("[[4,0", "[[-Infinity,0", "not finite"),
+        ("[[4,0", "[[0,0", "focal lengths must be positive"),
+    ] {
+        let folder = capture();
+        edit(folder.path(), from, to);
+        assert_fault(folder.path(), text);
+    }
+}
+
+#[test]
+fn a_meta_file_of_another_form_is_an_error() {
+    for (from, to) in [
+        ("\"cam_id\":[[0,1],[1,0]]", "\"cam_id\":[[0,1]]"),
+        ("[[0,1],[1,0]]", "[[0,1],[1,2]]"),
+        ("a/000000.png", "../a/000000.png"),
+        ("\"w\":4", "\"w\":\"4\""),
+        ("{\"w\"", "{"),
+    ] {
+        let folder = capture();
+        edit(folder.path(), from, to);
+        assert!(matches!(Capture::open(folder.path()), Err(DatasetError::Meta { .. })), "{to}");
+    }
+    assert!(Capture::open(Path::new("/nowhere")).unwrap_err().to_string().contains("/nowhere"));
+}
+
+#[test]
+fn points_not_finite_missing_or_unseen_are_told() {
+    let folder = capture();
+    write_points(
+        folder.path(),
+        &[0.0, 0.0, -9.0, 0.5, 0.5, 0.5, 1.0, f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    );
+    assert_fault(folder.path(), "1 of 2 points are NaN or infinite");
+    assert!(report(folder.path()).notes.iter().any(|n| n.text.contains("'a' sees no initial point")));
+    write_points(folder.path(), &[0.0; 7]);
+    assert_fault(folder.path(), "no foreground point");
+    fs::write(folder.path().join("init_pt_cld.npz"), b"PK").unwrap();
+    assert_fault(folder.path(), "init_pt_cld.npz: not a readable npz");
+}
+
+#[test]
+fn the_sample_is_sound() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
+    let report = report(&root);
+    assert!(report.is_usable(), "{report}");
+    let views: Vec<_> = report.splits.iter().map(|s| (s.views, s.frames)).collect();
+    assert_eq!((views, report.points), (vec![(20, 6), (7, 6), (24, 1)], 43240));
+}

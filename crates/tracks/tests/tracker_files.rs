@@ -1,0 +1,160 @@
+//! Every format, and every way in which it is wrong.
+
+use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage, f16};
+use ffgs_arrays::NpzWriter;
+use ffgs_core::{ImageSize, ViewMotion};
+use ffgs_tracks::{TrackStore, TracksError, check};
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+const SIZE: ImageSize = ImageSize { width: 3, height: 2 };
+
+fn store(level: &str, format: &str) -> (TempDir, TrackStore, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir_all(folder.path().join("tracks/x/cam")).unwrap();
+    let tracker = format!(
+        r#"{{"name": "x", "level": "{level}", "format": "{format}", "pattern": "x/{{camera}}/{{frame:06}}.{format}"}}"#
+    );
+    fs::write(folder.path().join("tracks/tracks.json"), format!(r#"{{"trackers": [{tracker}]}}"#)).unwrap();
+    let store = TrackStore::open(folder.path()).unwrap().unwrap();
+    let file = store.path(0, "cam", 1).unwrap();
+    assert!(file.ends_with(format!("tracks/x/cam/000001.{format}")));
+    (folder, store, file)
+}
+
+fn flo(flow: &[f32]) -> Vec<u8> {
+    let mut bytes = b"PIEH\x03\x00\x00\x00\x02\x00\x00\x00".to_vec();
+    flow.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    bytes
+}
+
+fn write_exr(file: &Path, names: [&str; 2]) {
+    let u = FlatSamples::F16((0..6).map(|i| f16::from_f32(i as f32 * 0.5)).collect());
+    let v = FlatSamples::F32((0..6).map(|i| -(i as f32)).collect());
+    let channels = vec![AnyChannel::new(names[0], u), AnyChannel::new(names[1], v)];
+    Image::from_channels((3, 2), AnyChannels::sort(channels.into())).write().to_file(file).unwrap();
+}
+
+#[test]
+fn a_missing_file_is_none_and_a_capture_without_trackers_too() {
+    let (_folder, store, _) = store("sparse", "npz");
+    assert!(store.load(0, "cam", 1, SIZE).unwrap().is_none());
+    assert!(TrackStore::open(tempfile::tempdir().unwrap().path()).unwrap().is_none());
+}
+
+#[test]
+fn correspondences_shift_and_drop_what_is_not_finite() {
+    let (_folder, store, file) = store("medium", "npz");
+    let src = [0.0, 0.0, f32::NAN, 1.0, 2.0, 1.0];
+    NpzWriter::new()
+        .f32("src", &[3, 2], &src)
+        .f64("tgt", &[3, 2], &[1.0; 6])
+        .f32("visibility", &[3], &[0.5, 1.0, 2.0])
+        .write(&file)
+        .unwrap();
+    let (motion, stats) = store.load_counted(0, "cam", 1, SIZE).unwrap().unwrap();
+    let ViewMotion::Tracks(tracks) = motion else { panic!() };
+    assert_eq!(tracks.src, [[0.5, 0.5], [2.5, 1.5]]);
+    assert_eq!(tracks.tgt, [[1.5, 1.5]; 2]);
+    assert_eq!(tracks.visibility, [0.5, 1.0]);
+    assert_eq!((stats.read, stats.dropped), (3, 1));
+}
+
+#[test]
+fn columns_of_other_lengths_and_shapes_are_refused() {
+    let (_folder, store, file) = store("sparse", "npz");
+    NpzWriter::new().f32("src", &[2, 2], &[0.0; 4]).f32("tgt", &[1, 2], &[0.0; 2]).write(&file).unwrap();
+    let error = store.load(0, "cam", 1, SIZE).unwrap_err();
+    assert!(error.to_string().ends_with("'tgt' has 1 rows, 'src' has 2"), "{error}");
+    NpzWriter::new().f32("src", &[2, 3], &[0.0; 6]).write(&file).unwrap();
+    assert!(store.load(0, "cam", 1, SIZE).unwrap_err().to_string().contains("expected shape (*, 2)"));
+}
+
+#[test]
+fn flo_keeps_standing_pixels_and_drops_unknown_ones() {
+    let (_folder, store, file) = store("dense", "flo");
+    let flow = [0.0, 0.0, 1.5, -2.0, 1e10, 0.0, f32::NAN, 0.0, 0.0, f32::INFINITY, 3.0, 4.0];
+    fs::write(&file, flo(&flow)).unwrap();
+    let (motion, stats) = store.load_counted(0, "cam", 1, SIZE).unwrap().unwrap();
+    let ViewMotion::Dense(motion) = motion else { panic!() };
+    assert_eq!(motion.confidence, [1.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    assert_eq!((motion.flow[1], motion.flow[2]), ([1.5, -2.0], [0.0, 0.0]));
+    assert_eq!(stats.dropped, 3);
+}
+
+#[test]
+fn exr_reads_half_and_float_channels_of_any_name() {
+    for names in [["U", "V"], ["u", "v"], ["flow.U", "flow.V"]] {
+        let (_folder, store, file) = store("dense", "exr");
+        write_exr(&file, names);
+        let Some(ViewMotion::Dense(motion)) = store.load(0, "cam", 1, SIZE).unwrap() else { panic!() };
+        assert_eq!(motion.flow[4], [2.0, -4.0]);
+    }
+    let (_folder, store, file) = store("dense", "exr");
+    write_exr(&file, ["R", "V"]);
+    assert!(store.load(0, "cam", 1, SIZE).unwrap_err().to_string().contains("no channel U"));
+}
+
+#[test]
+fn another_size_names_both() {
+    let (_folder, store, file) = store("dense", "flo");
+    fs::write(&file, flo(&[0.0; 12])).unwrap();
+    let error = store.load(0, "cam", 1, ImageSize { width: 4, height: 2 }).unwrap_err();
+    assert!(error.to_string().contains("flow is 3 x 2, but its camera is 4 x 2"), "{error}");
+}
+
+#[test]
+fn truncated_and_damaged_files_are_errors() {
+    let (_folder, store, file) = store("dense", "flo");
+    let (_exr_folder, exr_store, exr_file) = self::store("dense", "exr");
+    write_exr(&exr_file, ["U", "V"]);
+    for (store, file, bytes) in
+        [(store, file, flo(&[0.0; 12])), (exr_store, exr_file.clone(), fs::read(&exr_file).unwrap())]
+    {
+        for length in 0..bytes.len() {
+            fs::write(&file, &bytes[..length]).unwrap();
+            assert!(store.load(0, "cam", 1, SIZE).is_err(), "{} {length}", file.display());
+        }
+        for i in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[i] ^= 0xff;
+            fs::write(&file, damaged).unwrap();
+            let _ = store.load(0, "cam", 1, SIZE);
+        }
+    }
+}
+
+#[test]
+fn a_wrong_index_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("tracks")).unwrap();
+    let entry = |level: &str, pattern: &str| {
+        format!(
+            r#"{{"trackers": [{{"name": "x", "level": "{level}", "format": "npz", "pattern": "{pattern}"}}]}}"#
+        )
+    };
+    let bad = [
+        "{",
+        "{}",
+        &entry("dense", "{camera}/{frame}"),
+        &entry("sparse", "{camera}"),
+        &entry("sparse", "../{camera}/{frame}"),
+        &entry("sparse", "{camera}/{frame:6x}"),
+    ];
+    for text in bad {
+        fs::write(folder.path().join("tracks/tracks.json"), text).unwrap();
+        assert!(matches!(TrackStore::open(folder.path()), Err(TracksError::Index { .. })), "{text}");
+    }
+}
+
+#[test]
+fn the_sample_has_every_file() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
+    let store = TrackStore::open(&root).unwrap().unwrap();
+    let report = check(&store, &[("trk001".to_owned(), ImageSize { width: 320, height: 180 })], 6);
+    assert!(report.faults.is_empty(), "{report}");
+    assert!(report.trackers.iter().all(|t| t.files == 5 && t.missing == 0 && t.tracks > 0), "{report}");
+    let blind = check(&store, &[("nobody".to_owned(), SIZE)], 6);
+    assert_eq!(blind.faults.len(), 3);
+}
