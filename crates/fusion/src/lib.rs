@@ -1,1 +1,42 @@
-//! Fuses the trackers' estimates with the temporal prior, validates and plans densification.
+//! Fuses the trackers' estimates with the temporal prior (Algorithm 1, lines 25 to 34), checks the result against the
+//! masks (lines 35 to 40) and plans the densification of uncertain Gaussians (line 42).
+//!
+//! ```
+//! use ffgs_core::{EstimateStatus, Estimates};
+//! use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, Structure};
+//! use glam::{DMat3, DVec3};
+//!
+//! let config = FusionConfig { structure: Structure::None, ..FusionConfig::default() };
+//! let estimate = Estimates {
+//!     means: vec![DVec3::X],
+//!     covariances: vec![DMat3::IDENTITY * 1e-4],
+//!     status: vec![EstimateStatus::Ok],
+//! };
+//! let fused = InformationFuser { config }.fuse(&FusionInput {
+//!     prior_means: &[DVec3::ZERO],
+//!     prior_covariances: &[DMat3::IDENTITY * 1e-4],
+//!     estimates: &[estimate],
+//!     previous_steps: None,
+//!     groups: None,
+//!     last_q: 0.0,
+//!     q_floor_m: 0.0,
+//! })?;
+//! assert_eq!(fused.q, 1.0);
+//! assert!((fused.means[0].x - 1.0).abs() < 1e-3);
+//! # Ok::<(), ffgs_fusion::FusionError>(())
+//! ```
+
+mod config;
+mod densify;
+mod fuse;
+mod process_noise;
+mod rigid;
+mod structure;
+mod validation;
+
+pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
+pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
+pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance};
+pub use rigid::{RigidMotion, fit_rigid};
+pub use structure::{StructureConfig, StructurePrior, local_rigid_motion};
+pub use validation::{ViewCounts, count_views, dynamic_split, second_chance, validate};

@@ -1,0 +1,109 @@
+use crate::structure::StructureConfig;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Why a whole batch could not be processed.
+#[derive(Debug, Error, PartialEq)]
+pub enum FusionError {
+    /// A column does not have one entry per Gaussian.
+    #[error("{column} holds {found} entries, expected {expected}")]
+    Column {
+        /// Name of the column.
+        column: &'static str,
+        /// Entries found.
+        found: usize,
+        /// Entries expected.
+        expected: usize,
+    },
+    /// An option needs an input that was not given.
+    #[error("{option} needs the input {input}")]
+    MissingInput {
+        /// The option.
+        option: &'static str,
+        /// The input it needs.
+        input: &'static str,
+    },
+    /// The spatial index refused the points.
+    #[error("spatial index: {0}")]
+    Index(String),
+    /// Cameras and masks do not belong together.
+    #[error("{cameras} cameras but {masks} masks, or a mask whose size is not its camera's")]
+    Masks {
+        /// Cameras given.
+        cameras: usize,
+        /// Masks given.
+        masks: usize,
+    },
+}
+
+/// Where the prior expects a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PriorModel {
+    /// Where it was (Algorithm 1, line 30).
+    #[default]
+    RandomWalk,
+    /// Where its last step would take it.
+    ConstantVelocity,
+}
+
+/// Over which Gaussians q is the median.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProcessNoise {
+    /// All of them (Algorithm 1, line 26).
+    #[default]
+    Global,
+    /// Those of the same group.
+    PerObject,
+}
+
+/// Whether neighbours inform each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Structure {
+    /// Every Gaussian by itself (literal Algorithm 1).
+    None,
+    /// Robust rigid motion of the neighbourhood replaces the random walk as the prior.
+    #[default]
+    RigidNeighbours,
+}
+
+/// Settings of [`crate::InformationFuser`]; [`FusionConfig::literal`] is Algorithm 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FusionConfig {
+    /// Motion model of the prior.
+    pub prior: PriorModel,
+    /// Extent of the median q.
+    pub q_mode: ProcessNoise,
+    /// Squared Mahalanobis distance to the fused estimate beyond which a tracker's estimate is left out (the worst
+    /// first); 0 = no gate (literal). 16.3 keeps 99.9 % of consistent estimates.
+    pub gate: f64,
+    /// Factor on the trackers' covariances for the mistakes they share; 1 = independent (literal).
+    pub correlation_inflation: f64,
+    /// Whether neighbours inform each other.
+    pub structure: Structure,
+    /// Settings of the neighbourhood motion.
+    pub rigid: StructureConfig,
+}
+
+impl Default for FusionConfig {
+    fn default() -> Self {
+        Self {
+            prior: PriorModel::default(),
+            q_mode: ProcessNoise::default(),
+            gate: 0.0,
+            correlation_inflation: 1.0,
+            structure: Structure::default(),
+            rigid: StructureConfig::default(),
+        }
+    }
+}
+
+impl FusionConfig {
+    /// Algorithm 1 to the letter.
+    pub fn literal() -> Self {
+        Self { structure: Structure::None, ..Self::default() }
+    }
+}

@@ -1,0 +1,249 @@
+use crate::config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
+use crate::process_noise::{median_displacement, per_group};
+use crate::structure::{StructurePrior, local_rigid_motion};
+use ffgs_core::{EstimateStatus, Estimates};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+/// What one frame's fusion reads. Columns have one entry per Gaussian (N).
+#[derive(Clone, Copy, Debug)]
+pub struct FusionInput<'a> {
+    /// Fused means of t-1 (m).
+    pub prior_means: &'a [DVec3],
+    /// Position covariances of t-1 (m^2).
+    pub prior_covariances: &'a [DMat3],
+    /// One set of estimates per tracker (L).
+    pub estimates: &'a [Estimates],
+    /// Last frame's steps (m), for [`PriorModel::ConstantVelocity`].
+    pub previous_steps: Option<&'a [DVec3]>,
+    /// Object of each Gaussian, for [`ProcessNoise::PerObject`].
+    pub groups: Option<&'a [u32]>,
+    /// The q of the last frame (m), used when no estimate succeeded.
+    pub last_q: f64,
+    /// Lower bound of q (m): 0.25 px times depth / focal length; 0 = literal.
+    pub q_floor_m: f64,
+}
+
+/// The state after fusion, columns of length N.
+#[derive(Clone, Debug, Default)]
+pub struct Fused {
+    /// Means (m).
+    pub means: Vec<DVec3>,
+    /// Position covariances (m^2).
+    pub covariances: Vec<DMat3>,
+    /// Process noise (m): median displacement over all successful estimates.
+    pub q: f64,
+    /// Whether any tracker's estimate succeeded.
+    pub measured: Vec<bool>,
+    /// Rotation of the neighbourhood from t-1 to t; the identity without structure.
+    pub rotations: Vec<DQuat>,
+}
+
+/// Combines the trackers' estimates with the temporal prior.
+pub trait MotionFuser: Sync {
+    /// One frame. A Gaussian without any estimate keeps its predicted place and covariance.
+    ///
+    /// # Errors
+    /// [`FusionError`] when a column has the wrong length or an option lacks its input.
+    fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError>;
+}
+
+/// Information-form Kalman update (Algorithm 1, lines 26 to 34), relative to the prior mean so that coordinates of
+/// any size stay exact; optionally with the rigid motion of the neighbourhood as the prior.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct InformationFuser {
+    /// Settings.
+    pub config: FusionConfig,
+}
+
+impl MotionFuser for InformationFuser {
+    fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
+        check(input)?;
+        let predicted = predict(input, &self.config)?;
+        let q = median_displacement(&predicted, input.estimates).unwrap_or(input.last_q).max(input.q_floor_m);
+        let q_of = process_noise(input, &predicted, &self.config, q)?;
+        let structure = match self.config.structure {
+            Structure::None => None,
+            Structure::RigidNeighbours => {
+                let (means, covariances, measured) = self.measurements(input, &predicted);
+                local_rigid_motion(input.prior_means, &means, &covariances, &measured, &self.config.rigid)?
+            }
+        };
+        let states: Vec<State> = (0..predicted.len())
+            .into_par_iter()
+            .map(|i| match &structure {
+                None => self.update(input, i, random_walk(input, predicted[i], i, q_of[i]), 1.0),
+                Some(prior) => self.update(input, i, structured(input, prior, i), prior.inflation),
+            })
+            .collect();
+        let rotations = structure.map_or_else(|| vec![DQuat::IDENTITY; states.len()], |s| s.rotations);
+        Ok(Fused {
+            means: states.iter().map(|s| s.mean).collect(),
+            covariances: states.iter().map(|s| s.covariance).collect(),
+            measured: states.iter().map(|s| s.measured).collect(),
+            q,
+            rotations,
+        })
+    }
+}
+
+#[derive(Clone, Copy)]
+struct State {
+    mean: DVec3,
+    covariance: DMat3,
+    measured: bool,
+}
+
+impl InformationFuser {
+    /// The trackers' estimates of every Gaussian combined without any prior.
+    fn measurements(&self, input: &FusionInput, predicted: &[DVec3]) -> (Vec<DVec3>, Vec<DMat3>, Vec<bool>) {
+        let mut out = (Vec::new(), Vec::new(), Vec::new());
+        for (i, &place) in predicted.iter().enumerate() {
+            let (information, vector) = self.information(input, i, place, 1.0, |_| true);
+            let covariance = symmetric_inverse(information);
+            let measured = information != DMat3::ZERO && covariance.is_finite();
+            out.0.push(if measured { place + covariance * vector } else { place });
+            out.1.push(if measured { covariance } else { DMat3::ZERO });
+            out.2.push(measured);
+        }
+        out
+    }
+
+    /// Sum of the trackers' information and of information times offset from `origin`.
+    fn information(
+        &self,
+        input: &FusionInput,
+        i: usize,
+        origin: DVec3,
+        inflation: f64,
+        keep: impl Fn(usize) -> bool,
+    ) -> (DMat3, DVec3) {
+        let scale = (inflation * self.config.correlation_inflation).recip();
+        let (mut information, mut vector) = (DMat3::ZERO, DVec3::ZERO);
+        for (l, estimate) in input.estimates.iter().enumerate() {
+            if estimate.status[i] == EstimateStatus::Ok && keep(l) {
+                let precision = symmetric_inverse(estimate.covariances[i]) * scale;
+                if precision.is_finite() {
+                    information += precision;
+                    vector += precision * (estimate.means[i] - origin);
+                }
+            }
+        }
+        (information, vector)
+    }
+
+    /// Kalman update of one Gaussian from `prior`.
+    fn update(&self, input: &FusionInput, i: usize, prior: State, inflation: f64) -> State {
+        let mut rejected = vec![false; if self.config.gate > 0.0 { input.estimates.len() } else { 0 }];
+        loop {
+            let keep = |l: usize| !rejected.get(l).copied().unwrap_or(false);
+            let (information, vector) = self.information(input, i, prior.mean, inflation, keep);
+            if information == DMat3::ZERO {
+                return State { measured: false, ..prior };
+            }
+            let covariance = symmetric_inverse(symmetric_inverse(prior.covariance) + information);
+            let mean = prior.mean + covariance * vector;
+            if !mean.is_finite() || !covariance.is_finite() {
+                return State { measured: false, ..prior };
+            }
+            let state = State { mean, covariance, measured: true };
+            let Some(worst) = self.worst_outside_gate(input, i, state, &rejected) else { return state };
+            rejected[worst] = true;
+        }
+    }
+
+    fn worst_outside_gate(
+        &self,
+        input: &FusionInput,
+        i: usize,
+        state: State,
+        rejected: &[bool],
+    ) -> Option<usize> {
+        let distance = |l: usize| {
+            let estimate = &input.estimates[l];
+            let offset = estimate.means[i] - state.mean;
+            offset.dot(symmetric_inverse(estimate.covariances[i] + state.covariance) * offset)
+        };
+        let candidates = (0..rejected.len())
+            .filter(|&l| !rejected[l] && input.estimates[l].status[i] == EstimateStatus::Ok)
+            .map(|l| (l, distance(l)));
+        candidates.filter(|c| c.1 > self.config.gate).max_by(|a, b| a.1.total_cmp(&b.1)).map(|c| c.0)
+    }
+}
+
+/// `P + q^2 I` at the predicted place (Algorithm 1, line 28).
+fn random_walk(input: &FusionInput, place: DVec3, i: usize, q: f64) -> State {
+    State { mean: place, covariance: input.prior_covariances[i] + DMat3::IDENTITY * (q * q), measured: false }
+}
+
+/// The neighbourhood's motion carries the Gaussian; its own uncertainty adds to that of the motion.
+fn structured(input: &FusionInput, prior: &StructurePrior, i: usize) -> State {
+    State {
+        mean: prior.means[i],
+        covariance: input.prior_covariances[i] + prior.covariances[i],
+        measured: false,
+    }
+}
+
+fn predict(input: &FusionInput, config: &FusionConfig) -> Result<Vec<DVec3>, FusionError> {
+    match (config.prior, input.previous_steps) {
+        (PriorModel::RandomWalk, _) => Ok(input.prior_means.to_vec()),
+        (PriorModel::ConstantVelocity, Some(steps)) => {
+            check_column("previous_steps", steps.len(), input.prior_means.len())?;
+            Ok(input.prior_means.iter().zip(steps).map(|(&mean, &step)| mean + step).collect())
+        }
+        (PriorModel::ConstantVelocity, None) => {
+            Err(FusionError::MissingInput { option: "prior = constant_velocity", input: "previous_steps" })
+        }
+    }
+}
+
+/// q of every Gaussian (m).
+fn process_noise(
+    input: &FusionInput,
+    predicted: &[DVec3],
+    config: &FusionConfig,
+    q: f64,
+) -> Result<Vec<f64>, FusionError> {
+    match (config.q_mode, input.groups) {
+        (ProcessNoise::Global, _) => Ok(vec![q; predicted.len()]),
+        (ProcessNoise::PerObject, Some(groups)) => {
+            check_column("groups", groups.len(), predicted.len())?;
+            let medians = per_group(predicted, input.estimates, groups);
+            Ok(groups.iter().map(|g| medians.get(g).copied().unwrap_or(q).max(input.q_floor_m)).collect())
+        }
+        (ProcessNoise::PerObject, None) => {
+            Err(FusionError::MissingInput { option: "q_mode = per_object", input: "groups" })
+        }
+    }
+}
+
+/// Inverse, made exactly symmetric.
+pub fn symmetric_inverse(m: DMat3) -> DMat3 {
+    let inverse = m.inverse();
+    (inverse + inverse.transpose()) * 0.5
+}
+
+/// Position covariance at t = 0 (m^2): half the smallest axis as standard deviation, at least a quarter of a pixel.
+///
+/// `smallest_axis` is the least standard deviation of the splat (m), `pixel_m` the size of a pixel at its depth (z / f).
+pub fn initial_covariance(smallest_axis: f64, pixel_m: f64) -> DMat3 {
+    let sigma = (0.5 * smallest_axis).max(0.25 * pixel_m);
+    DMat3::from_diagonal(DVec3::splat(sigma * sigma))
+}
+
+fn check(input: &FusionInput) -> Result<(), FusionError> {
+    let n = input.prior_means.len();
+    check_column("prior_covariances", input.prior_covariances.len(), n)?;
+    for estimate in input.estimates {
+        check_column("estimates.means", estimate.means.len(), n)?;
+        check_column("estimates.covariances", estimate.covariances.len(), n)?;
+        check_column("estimates.status", estimate.status.len(), n)?;
+    }
+    Ok(())
+}
+
+/// Refuses a column of another length.
+pub fn check_column(column: &'static str, found: usize, expected: usize) -> Result<(), FusionError> {
+    if found == expected { Ok(()) } else { Err(FusionError::Column { column, found, expected }) }
+}

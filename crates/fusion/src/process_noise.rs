@@ -1,0 +1,42 @@
+use ffgs_core::{EstimateStatus, Estimates};
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// The median as numpy defines it (mean of the two middle values); `None` of nothing.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let half = values.len() / 2;
+    let (_, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
+    if values.len() % 2 == 1 {
+        return Some(upper);
+    }
+    let lower = values[..half].iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    Some(0.5 * (lower + upper))
+}
+
+/// Median distance of the successful estimates from where the prior expects the Gaussian (m); `None` without any.
+pub fn median_displacement(predicted: &[DVec3], estimates: &[Estimates]) -> Option<f64> {
+    let mut all: Vec<f64> = displacements(predicted, estimates).map(|(_, d)| d).collect();
+    median(&mut all)
+}
+
+/// [`median_displacement`] within each group.
+pub fn per_group(predicted: &[DVec3], estimates: &[Estimates], groups: &[u32]) -> BTreeMap<u32, f64> {
+    let mut all: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for (i, d) in displacements(predicted, estimates) {
+        all.entry(groups[i]).or_default().push(d);
+    }
+    all.into_iter().filter_map(|(group, mut values)| Some((group, median(&mut values)?))).collect()
+}
+
+fn displacements<'a>(
+    predicted: &'a [DVec3],
+    estimates: &'a [Estimates],
+) -> impl Iterator<Item = (usize, f64)> + 'a {
+    estimates.iter().flat_map(move |e| {
+        let valid = (0..predicted.len()).filter(|&i| e.status[i] == EstimateStatus::Ok);
+        valid.map(move |i| (i, (e.means[i] - predicted[i]).length()))
+    })
+}
