@@ -1,0 +1,129 @@
+//! Writes a report of made-up data: `cargo run -p ffgs-report --example demo -- OUT.html`.
+
+use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
+use ffgs_report::{
+    Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport, motion_picture, uncertainty_picture,
+    write_report,
+};
+use glam::{DMat3, DMat4, DVec3};
+use image::{Rgb, RgbImage};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+const SIZE: ImageSize = ImageSize { width: 480, height: 270 };
+const FRAMES: usize = 8;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let out = PathBuf::from(std::env::args().nth(1).ok_or("usage: demo OUT.html")?);
+    let pictures = out.with_extension("pictures");
+    std::fs::create_dir_all(&pictures)?;
+    let frames = (0..FRAMES).map(|i| frame(&pictures, i)).collect::<Result<_, _>>()?;
+    let fact = |name: &str, value: &str| Fact { name: name.into(), value: value.into() };
+    let input = ReportInput {
+        title: "A ball on a road <demo>".into(),
+        configuration: "[dynamic]\niterations = 300\n\n[fusion]\nprior = \"random_walk\"\n".into(),
+        facts: vec![fact("version", "0.1.0"), fact("machine", "2 cores, 8 GiB"), fact("seed", "1")],
+        frames,
+        skips: vec![SkipCount { what: "track file missing (view cam_03, lightglue)".into(), count: 4 }],
+        warnings: vec!["frame 3: 21 % of the dynamic Gaussians failed validation".into()],
+    };
+    write_report(&out, &input)?;
+    std::fs::remove_dir_all(&pictures)?;
+    Ok(())
+}
+
+fn frame(folder: &Path, i: usize) -> Result<FrameReport, Box<dyn Error>> {
+    let views = ["trackside_01", "drone"].map(|name| view(folder, name, i));
+    let views = views.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let overlays = if i == 0 { [None, None] } else { overlays(folder, i)?.map(Some) };
+    let [motion, uncertainty] = overlays;
+    Ok(FrameReport {
+        index: i,
+        views,
+        static_gaussians: 41_200,
+        dynamic_gaussians: 5_000 + 90 * i,
+        bytes: 11_500_000,
+        seconds: seconds(i as f64),
+        motion,
+        uncertainty,
+    })
+}
+
+fn seconds(i: f64) -> StageSeconds {
+    StageSeconds {
+        load: Some(0.08),
+        voronoi: Some(0.31 + 0.01 * i),
+        agreement: Some(0.02),
+        association: Some(0.12),
+        triangulation: Some(0.05),
+        fusion: Some(0.01),
+        validation: Some(0.004),
+        dynamic: Some(6.2 + 0.2 * i),
+        static_lane: Some(9.4),
+        sky: Some(1.3),
+        wall: Some(12.2 + 0.2 * i),
+    }
+}
+
+fn scene(ball: f64, noise: f64) -> RgbImage {
+    RgbImage::from_fn(SIZE.width as u32, SIZE.height as u32, |x, y| {
+        let (u, v) = (f64::from(x), f64::from(y));
+        let grain = noise * (f64::from((x * 7919 + y * 104_729) % 31) - 15.0);
+        let colour = if (u - ball).hypot(v - 150.0) < 45.0 {
+            [210.0 - 0.5 * (v - 105.0), 60.0, 40.0]
+        } else if v < 120.0 {
+            [140.0 + 0.3 * v, 180.0 + 0.3 * v, 230.0]
+        } else {
+            [0.5 * v; 3]
+        };
+        Rgb(colour.map(|c: f64| (c + grain) as u8))
+    })
+}
+
+fn view(folder: &Path, name: &str, i: usize) -> Result<ViewReport, Box<dyn Error>> {
+    let path = |kind: &str| folder.join(format!("{name}_{kind}_{i}.png"));
+    let ball = 120.0 + 30.0 * i as f64;
+    scene(ball, 0.0).save(path("truth"))?;
+    scene(ball + 2.0, 0.6).save(path("render"))?;
+    let drop = 0.2 * i as f64 + if name == "drone" { 1.7 } else { 0.0 };
+    Ok(ViewReport {
+        name: name.into(),
+        psnr: Some(27.4 - drop + 0.3 * (i as f64).sin()),
+        mpsnr: (i != 5).then_some(21.3 - drop),
+        ssim: Some(0.91 - 0.01 * drop),
+        ground_truth: path("truth"),
+        render: path("render"),
+    })
+}
+
+fn overlays(folder: &Path, i: usize) -> Result<[PathBuf; 2], Box<dyn Error>> {
+    let intrinsics = Intrinsics { fx: 400.0, fy: 400.0, cx: 240.0, cy: 135.0 };
+    let camera = Camera::new(intrinsics, DMat4::IDENTITY, SIZE)?;
+    let centre = DVec3::new((120.0 + 30.0 * i as f64 - 240.0) / 40.0, 0.375, 10.0);
+    let sphere: Vec<DVec3> = (0..4000).map(on_sphere).collect();
+    let prev: Vec<DVec3> = sphere.iter().map(|p| centre - DVec3::new(0.75, 0.0, 0.0) + *p).collect();
+    let spin = DMat3::from_rotation_z(0.9);
+    let now: Vec<DVec3> = sphere.iter().map(|p| centre + spin * *p).collect();
+    let variance = |p: &DVec3| DMat3::from_diagonal(DVec3::splat(1e-4 * (3.0 * p.x).exp()));
+    let covariances: Vec<DMat3> = sphere.iter().map(variance).collect();
+    let background = ImageRgb8::new(SIZE, scene(120.0 + 30.0 * i as f64, 0.0).into_raw()).ok_or("size")?;
+    let pictures = [
+        ("motion", motion_picture(&camera, &prev, &now, &background)?),
+        ("uncertainty", uncertainty_picture(&camera, &now, &covariances, &background)?),
+    ];
+    let save = |(name, picture): (&str, ImageRgb8)| -> Result<PathBuf, Box<dyn Error>> {
+        let path = folder.join(format!("{name}_{i}.png"));
+        let (width, height) = (SIZE.width as u32, SIZE.height as u32);
+        RgbImage::from_raw(width, height, picture.data().to_vec()).ok_or("size")?.save(&path)?;
+        Ok(path)
+    };
+    let [motion, uncertainty] = pictures.map(save);
+    Ok([motion?, uncertainty?])
+}
+
+/// Spread evenly (golden angle).
+fn on_sphere(i: usize) -> DVec3 {
+    let z = 1.0 - 2.0 * (i as f64 + 0.5) / 4000.0;
+    let (sin, cos) = (2.399_963 * i as f64).sin_cos();
+    1.1 * DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
+}

@@ -1,0 +1,100 @@
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// All that a report shows.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ReportInput {
+    /// Title: what was reconstructed.
+    pub title: String,
+    /// The configuration as text (TOML).
+    pub configuration: String,
+    /// Program version, machine, seeds: one line each.
+    pub facts: Vec<Fact>,
+    /// Frames in order.
+    pub frames: Vec<FrameReport>,
+    /// What was skipped and how often.
+    pub skips: Vec<SkipCount>,
+    /// Warnings of the run.
+    pub warnings: Vec<String>,
+}
+
+/// A named value.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Fact {
+    /// Name.
+    pub name: String,
+    /// Value with its unit.
+    pub value: String,
+}
+
+/// Something that was left out.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct SkipCount {
+    /// What and why.
+    pub what: String,
+    /// How often.
+    pub count: u64,
+}
+
+/// One frame.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct FrameReport {
+    /// Frame index in the capture.
+    pub index: usize,
+    /// Test views.
+    pub views: Vec<ViewReport>,
+    /// Gaussians of the static layer.
+    pub static_gaussians: usize,
+    /// Gaussians of the dynamic layer.
+    pub dynamic_gaussians: usize,
+    /// Bytes on disk.
+    pub bytes: u64,
+    /// Seconds per stage.
+    pub seconds: StageSeconds,
+    /// Picture of the fused displacement ([`crate::motion_picture`]), if made.
+    pub motion: Option<PathBuf>,
+    /// Picture of the position uncertainty ([`crate::uncertainty_picture`]), if made.
+    pub uncertainty: Option<PathBuf>,
+}
+
+/// One test view of one frame. A metric is absent where it is not defined (an empty mask has no MPSNR).
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ViewReport {
+    /// Camera name.
+    pub name: String,
+    /// PSNR (dB).
+    pub psnr: Option<f64>,
+    /// PSNR over the foreground mask (dB).
+    pub mpsnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// Ground truth, an image file.
+    pub ground_truth: PathBuf,
+    /// Render, an image file of the same size.
+    pub render: PathBuf,
+}
+
+/// Seconds one frame spent in each stage; `None` where the stage did not run.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)] // Named as the stages of the paper's Algorithm 1 and its lanes.
+pub struct StageSeconds {
+    pub load: Option<f64>,
+    pub voronoi: Option<f64>,
+    pub agreement: Option<f64>,
+    pub association: Option<f64>,
+    pub triangulation: Option<f64>,
+    pub fusion: Option<f64>,
+    pub validation: Option<f64>,
+    /// The dynamic lane's finetuning.
+    pub dynamic: Option<f64>,
+    /// The static lane (`static` in JSON).
+    #[serde(rename = "static")]
+    pub static_lane: Option<f64>,
+    pub sky: Option<f64>,
+    /// Wall clock of the frame.
+    pub wall: Option<f64>,
+}

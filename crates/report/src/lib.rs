@@ -1,0 +1,15 @@
+//! `report.html`: one self-contained file that shows a run: pictures with a scrubber over frames, curves, the paper's
+//! timing table, motion and uncertainty, what was skipped, the configuration. No network, no other files.
+
+mod colour;
+mod input;
+mod overlay;
+mod page;
+mod picture;
+mod plot;
+mod timing;
+
+pub use input::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
+pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
+pub use page::{ReportError, write_report};
+pub use picture::error_map;

@@ -1,0 +1,185 @@
+use crate::plot::{Series, svg};
+use crate::timing::{Row, mean, rows};
+use crate::{FrameReport, ReportInput, ViewReport, error_map, picture};
+use ffgs_core::write_atomically;
+use minijinja::Environment;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+const TEMPLATE: &str = include_str!("../templates/report.html");
+const STYLE: &str = include_str!("../templates/style.css");
+const SCRIPT: &str = include_str!("../templates/script.js");
+
+/// Why a report was not written.
+#[derive(Debug, Error)]
+pub enum ReportError {
+    /// A picture could not be read.
+    #[error("{}: {source}", .path.display())]
+    Picture {
+        /// The image file.
+        path: PathBuf,
+        /// The decoder's word.
+        source: image::ImageError,
+    },
+    /// A picture could not be encoded.
+    #[error("cannot encode a picture: {0}")]
+    Encode(image::ImageError),
+    /// A render is not of its ground truth's size.
+    #[error("{} and {} differ in size", .ground_truth.display(), .render.display())]
+    Size {
+        /// Ground truth.
+        ground_truth: PathBuf,
+        /// Render.
+        render: PathBuf,
+    },
+    /// The template failed.
+    #[error("report template: {0}")]
+    Template(#[from] minijinja::Error),
+    /// The file cannot be written.
+    #[error("cannot write the report: {0}")]
+    Io(#[from] io::Error),
+}
+
+/// What the script gets: pictures as `data:` URIs.
+#[derive(Serialize)]
+struct FramePictures {
+    index: usize,
+    views: Vec<ViewPictures>,
+    motion: Option<String>,
+    uncertainty: Option<String>,
+}
+
+#[derive(Serialize)]
+struct ViewPictures {
+    name: String,
+    psnr: Option<f64>,
+    mpsnr: Option<f64>,
+    ssim: Option<f64>,
+    images: [String; 3],
+}
+
+#[derive(Serialize)]
+struct Headline {
+    label: &'static str,
+    value: String,
+    unit: &'static str,
+}
+
+#[derive(Serialize)]
+struct Page<'a> {
+    input: &'a ReportInput,
+    style: &'static str,
+    script: &'static str,
+    pictures: Vec<FramePictures>,
+    headlines: Vec<Headline>,
+    plots: Vec<String>,
+    timing: Vec<Row>,
+    error_range: f64,
+}
+
+/// Writes the self-contained `report.html`, atomically. Reads every picture that `input` names; a missing one is an
+/// error that names it.
+pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError> {
+    let pictures = input.frames.par_iter().map(frame_pictures).collect::<Result<Vec<_>, _>>()?;
+    let page = Page {
+        input,
+        style: STYLE,
+        script: SCRIPT,
+        pictures,
+        headlines: headlines(&input.frames),
+        plots: plots(&input.frames),
+        timing: rows(&input.frames),
+        error_range: picture::ERROR_RANGE,
+    };
+    let mut environment = Environment::new();
+    environment.add_template("report.html", TEMPLATE)?;
+    let html = environment.get_template("report.html")?.render(minijinja::Value::from_serialize(&page))?;
+    write_atomically(path, |out| out.write_all(html.as_bytes()))?;
+    Ok(())
+}
+
+fn frame_pictures(frame: &FrameReport) -> Result<FramePictures, ReportError> {
+    let embed = |path: &Option<PathBuf>| -> Result<Option<String>, ReportError> {
+        path.as_deref().map(|p| picture::data_uri(&picture::read(p)?)).transpose()
+    };
+    Ok(FramePictures {
+        index: frame.index,
+        views: frame.views.par_iter().map(view_pictures).collect::<Result<_, _>>()?,
+        motion: embed(&frame.motion)?,
+        uncertainty: embed(&frame.uncertainty)?,
+    })
+}
+
+fn view_pictures(view: &ViewReport) -> Result<ViewPictures, ReportError> {
+    let (ground_truth, render) = (picture::read(&view.ground_truth)?, picture::read(&view.render)?);
+    let error = error_map(&ground_truth, &render).ok_or_else(|| ReportError::Size {
+        ground_truth: view.ground_truth.clone(),
+        render: view.render.clone(),
+    })?;
+    let images = [picture::data_uri(&ground_truth)?, picture::data_uri(&render)?, picture::data_uri(&error)?];
+    let ViewReport { name, psnr, mpsnr, ssim, .. } = view.clone();
+    Ok(ViewPictures { name, psnr, mpsnr, ssim, images })
+}
+
+type Metric = fn(&ViewReport) -> Option<f64>;
+
+fn mean_of(frame: &FrameReport, metric: Metric) -> Option<f64> {
+    mean(&frame.views.iter().filter_map(metric).collect::<Vec<_>>())
+}
+
+/// Means over the frames after the first, as in `metrics.json`.
+fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
+    let later = frames.get(1..).filter(|f| !f.is_empty()).unwrap_or(frames);
+    let text =
+        |value: Option<f64>, decimals: usize| value.map_or("–".into(), |v| format!("{v:.decimals$}"));
+    let over =
+        |f: &dyn Fn(&FrameReport) -> Option<f64>| mean(&later.iter().filter_map(f).collect::<Vec<_>>());
+    let metric = |m: Metric| mean(&later.iter().flat_map(|f| &f.views).filter_map(m).collect::<Vec<_>>());
+    let gaussians = over(&|f| Some((f.static_gaussians + f.dynamic_gaussians) as f64 / 1000.0));
+    let megabytes = over(&|f| Some(f.bytes as f64 / 1e6));
+    let values = [
+        ("PSNR", text(metric(|v| v.psnr), 2), "dB"),
+        ("MPSNR (foreground)", text(metric(|v| v.mpsnr), 2), "dB"),
+        ("SSIM", text(metric(|v| v.ssim), 4), ""),
+        ("Time per frame", text(over(&|f| f.seconds.wall), 2), "s"),
+        ("Gaussians", text(gaussians, 1), "thousand"),
+        ("On disk per frame", text(megabytes, 2), "MB"),
+    ];
+    values.map(|(label, value, unit)| Headline { label, value, unit }).into()
+}
+
+fn plots(frames: &[FrameReport]) -> Vec<String> {
+    let metrics: [(&str, Metric); 3] =
+        [("PSNR (dB)", |v| v.psnr), ("MPSNR (dB)", |v| v.mpsnr), ("SSIM", |v| v.ssim)];
+    let mut out: Vec<String> =
+        metrics.into_iter().map(|(label, metric)| svg(label, &metric_series(frames, metric))).collect();
+    let count = |name: &str, of: fn(&FrameReport) -> usize| {
+        let points = frames.iter().map(|f| (f.index as f64, Some(of(f) as f64))).collect();
+        Series { name: name.to_owned(), points }
+    };
+    let counts = [count("static", |f| f.static_gaussians), count("dynamic", |f| f.dynamic_gaussians)];
+    out.push(svg("Gaussians", &counts));
+    out
+}
+
+/// The mean over views first, then each view (of all frames, in order of appearance).
+fn metric_series(frames: &[FrameReport], metric: Metric) -> Vec<Series> {
+    let points = |value: &dyn Fn(&FrameReport) -> Option<f64>| {
+        frames.iter().map(|f| (f.index as f64, value(f))).collect::<Vec<_>>()
+    };
+    let mut names: Vec<&str> = Vec::new();
+    for view in frames.iter().flat_map(|f| &f.views) {
+        if !names.contains(&view.name.as_str()) {
+            names.push(&view.name);
+        }
+    }
+    let mean = Series { name: "mean".to_owned(), points: points(&|f| mean_of(f, metric)) };
+    let of_view = |name: &&str| Series {
+        name: (*name).to_owned(),
+        points: points(&|f| f.views.iter().find(|v| v.name == *name).and_then(metric)),
+    };
+    std::iter::once(mean).chain(names.iter().map(of_view)).collect()
+}

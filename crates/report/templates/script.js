@@ -1,0 +1,61 @@
+"use strict";
+const at = (id) => document.getElementById(id);
+const names = [...new Set(frames.flatMap((f) => f.views.map((v) => v.name)))];
+const state = { frame: 0, view: 0, timer: null };
+const FRAME_MILLISECONDS = 250;
+
+function picture(img, source) {
+  img.closest("figure").style.visibility = source ? "visible" : "hidden";
+  if (source) img.src = source;
+}
+
+function score(label, value, digits, unit) {
+  return value == null ? "" : `${label} ${value.toFixed(digits)}${unit}`;
+}
+
+function show() {
+  const frame = frames[state.frame];
+  const view = frame.views.find((v) => v.name === names[state.view]);
+  at("frame").value = state.frame;
+  at("view").value = state.view;
+  at("frame-name").textContent = `frame ${frame.index} (${state.frame + 1} of ${frames.length})`;
+  [0, 1, 2].forEach((i) => picture(at(`image-${i}`), view && view.images[i]));
+  const scores = view ? [score("PSNR", view.psnr, 2, " dB"), score("MPSNR", view.mpsnr, 2, " dB"),
+    score("SSIM", view.ssim, 4, "")] : ["not in this frame"];
+  at("scores").textContent = scores.filter(Boolean).join(" · ");
+  const none = !frame.motion && !frame.uncertainty;
+  at("pair").hidden = none;
+  at("no-pair").hidden = !none;
+  picture(at("motion"), frame.motion);
+  picture(at("uncertainty"), frame.uncertainty);
+}
+
+function step(key, by, count) {
+  if (count > 0) state[key] = (state[key] + by + count) % count;
+  show();
+}
+
+function play() {
+  if (state.timer) clearInterval(state.timer);
+  state.timer = state.timer ? null : setInterval(() => step("frame", 1, frames.length), FRAME_MILLISECONDS);
+  at("play").textContent = state.timer ? "❚❚ Pause" : "▶ Play";
+}
+
+function start() {
+  names.forEach((name, i) => at("view").add(new Option(name, i)));
+  at("frame").max = frames.length - 1;
+  at("frame").addEventListener("input", (e) => { state.frame = Number(e.target.value); show(); });
+  at("view").addEventListener("change", (e) => { state.view = Number(e.target.value); show(); });
+  at("play").addEventListener("click", play);
+  document.addEventListener("keydown", (e) => {
+    const keys = { ArrowLeft: ["frame", -1, frames.length], ArrowRight: ["frame", 1, frames.length],
+      ArrowUp: ["view", -1, names.length], ArrowDown: ["view", 1, names.length] };
+    if (e.key === " " && e.target.id !== "play") { e.preventDefault(); play(); }
+    if (keys[e.key]) { e.preventDefault(); step(...keys[e.key]); }
+  });
+  // The second frame is the first that shows motion.
+  state.frame = frames.length > 1 ? 1 : 0;
+  show();
+}
+
+if (frames.length) start(); else at("viewer").hidden = true;
