@@ -96,7 +96,7 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
     };
     let mut environment = Environment::new();
     environment.add_template("report.html", TEMPLATE)?;
-    let html = environment.get_template("report.html")?.render(minijinja::Value::from_serialize(&page))?;
+    let html = environment.get_template("report.html")?.render(minijinja::value::Serde(&page))?;
     write_atomically(path, |out| out.write_all(html.as_bytes()))?;
     Ok(())
 }
