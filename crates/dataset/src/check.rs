@@ -43,7 +43,7 @@ fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
     report.points = points.len();
     report.foreground_points = points.foreground_count();
     let mut add = |problem: String, fix: &str| {
-        report.faults.push(Fault { file: file.clone(), problem, fix: fix.into() })
+        report.faults.push(Fault { file: file.clone(), problem, fix: fix.into() });
     };
     if points.dropped > 0 {
         let all = points.len() + points.dropped;

@@ -105,10 +105,14 @@ fn masks_may_be_missing_only_as_a_fault_and_not_all_empty() {
     let folder = capture();
     let seg = folder.path().join("seg");
     let empty = image::GrayImage::new(4, 2).into();
-    ["a/000000", "a/000001"].iter().for_each(|n| save(&seg.join(format!("{n}.png")), &empty));
+    for name in ["a/000000.png", "a/000001.png"] {
+        save(&seg.join(name), &empty);
+    }
     let notes = report(folder.path());
     assert!(notes.is_usable() && notes.notes.iter().any(|n| n.text.contains("2 of 2 masks are empty")));
-    ["b/000000", "b/000001"].iter().for_each(|n| save(&seg.join(format!("{n}.png")), &empty));
+    for name in ["b/000000.png", "b/000001.png"] {
+        save(&seg.join(name), &empty);
+    }
     assert_fault(folder.path(), "every training mask is empty");
     fs::remove_file(seg.join("b/000001.png")).unwrap();
     assert_fault(folder.path(), "1 of 2 masks are missing");

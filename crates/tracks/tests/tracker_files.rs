@@ -25,7 +25,9 @@ fn store(level: &str, format: &str) -> (TempDir, TrackStore, PathBuf) {
 
 fn flo(flow: &[f32]) -> Vec<u8> {
     let mut bytes = b"PIEH\x03\x00\x00\x00\x02\x00\x00\x00".to_vec();
-    flow.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    for v in flow {
+        bytes.extend_from_slice(&v.to_le_bytes());
+    }
     bytes
 }
 
