@@ -19,7 +19,8 @@ pub struct StructureConfig {
     pub max_seeds: usize,
     /// Neighbourhoods a Gaussian blends.
     pub blend: usize,
-    /// Neighbours that share their error: 200 neighbours count as 200 / this many independent ones.
+    /// Neighbours that share their error: 200 neighbours count as 200 / this many independent ones. Measured on two
+    /// simulated cars: 25 raises the error by a sixth and does not improve the calibration.
     pub correlated: f64,
     /// Squared Mahalanobis distance beyond which a Gaussian's own evidence contradicts its neighbourhood and widens
     /// its prior; 11.3 is the 99 % point.
@@ -241,7 +242,7 @@ fn blend(place: DVec3, seeds: &[&Seed], weights: &[f64]) -> Prediction {
         let w = w / total;
         let leverage = 1.0 + 3.0 * (place - seed.motion.centre).length_squared() / seed.radius2;
         mean += (seed.motion.apply(place) - place) * w;
-        rotation = rotation + seed.motion.rotation * w;
+        rotation += seed.motion.rotation * w;
         variance += w * seed.variance * leverage / seed.effective;
     }
     let spread: f64 = (seeds.iter().zip(weights))
