@@ -37,7 +37,7 @@ pub enum OverlayError {
 
 /// Motion from `means_prev` to `means_now` (m, one per Gaussian) as `camera` sees it, over the dimmed `background`:
 /// hue = direction of the projected displacement, saturation = its length, up to the 95 % quantile. The wheel in the
-/// corner is the legend: the colour at its rim is that of a motion towards that side.
+/// corner is the legend: its rim has the colours of motions towards that side of the length written below it (px).
 pub fn motion_picture(
     camera: &Camera,
     means_prev: &[DVec3],
@@ -55,7 +55,7 @@ pub fn motion_picture(
     let mut canvas = Canvas::dimmed(background);
     let colour = |(depth, at, motion): (f64, DVec2, DVec2)| (depth, at, motion_colour(motion / full));
     canvas.dots(dots.into_iter().map(colour).collect());
-    canvas.wheel();
+    canvas.wheel(full);
     Ok(canvas.finish())
 }
 
@@ -150,7 +150,8 @@ impl Canvas {
         (self.size.width.min(self.size.height) as f64 / 9.0).max(16.0).floor()
     }
 
-    fn wheel(&mut self) {
+    /// The rim's motion, `full` pixels, is written below.
+    fn wheel(&mut self, full: f64) {
         let radius = self.legend_size();
         let centre = DVec2::splat(radius + 6.0);
         let reach = radius as i64 + 2;
@@ -164,12 +165,22 @@ impl Canvas {
                 }
             }
         }
+        let (label, scale) = (format!("{} px", short(full)), self.text_scale());
+        let corner = [6.0, 2.0 * radius + 14.0];
+        let width = 4.0 * scale * label.len() as f64;
+        self.rectangle([corner[0] - 3.0, corner[1] - 3.0], [width + 6.0, 5.0 * scale + 6.0], [20; 3]);
+        self.text(corner, &label, scale);
+    }
+
+    /// Pixels per dot of a glyph.
+    fn text_scale(&self) -> f64 {
+        (self.legend_size() / 22.0).round().max(1.0)
     }
 
     /// A vertical bar over `[low, high]` (log10 of cm): its ends labelled in cm.
     fn bar(&mut self, [low, high]: [f64; 2]) {
         let height = 2.5 * self.legend_size();
-        let scale = (self.legend_size() / 22.0).max(1.0).floor();
+        let scale = self.text_scale();
         let (left, top, width) = (8.0, 8.0, 6.0 * scale);
         let box_width = width + 8.0 + 4.0 * scale * 8.0;
         self.rectangle([2.0, 2.0], [box_width, height + 12.0], [20; 3]);
@@ -221,6 +232,8 @@ fn glyph(character: char) -> [u8; 5] {
         '.' => [0, 0, 0, 0, 2],
         'c' => [0, 7, 4, 4, 7],
         'm' => [0, 7, 7, 5, 5],
+        'p' => [0, 7, 5, 7, 4],
+        'x' => [0, 5, 2, 2, 5],
         _ => [0; 5],
     }
 }

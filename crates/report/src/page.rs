@@ -158,7 +158,7 @@ fn plots(frames: &[FrameReport]) -> Vec<String> {
         metrics.into_iter().map(|(label, metric)| svg(label, &metric_series(frames, metric))).collect();
     let count = |name: &str, of: fn(&FrameReport) -> usize| {
         let points = frames.iter().map(|f| (f.index as f64, Some(of(f) as f64))).collect();
-        Series { name: name.to_owned(), points }
+        Series { name: name.to_owned(), bold: false, points }
     };
     let counts = [count("static", |f| f.static_gaussians), count("dynamic", |f| f.dynamic_gaussians)];
     out.push(svg("Gaussians", &counts));
@@ -176,9 +176,10 @@ fn metric_series(frames: &[FrameReport], metric: Metric) -> Vec<Series> {
             names.push(&view.name);
         }
     }
-    let mean = Series { name: "mean".to_owned(), points: points(&|f| mean_of(f, metric)) };
+    let mean = Series { name: "mean".to_owned(), bold: true, points: points(&|f| mean_of(f, metric)) };
     let of_view = |name: &&str| Series {
         name: (*name).to_owned(),
+        bold: false,
         points: points(&|f| f.views.iter().find(|v| v.name == *name).and_then(metric)),
     };
     std::iter::once(mean).chain(names.iter().map(of_view)).collect()

@@ -14,6 +14,8 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 
 pub struct Series {
     pub name: String,
+    /// Drawn thicker: what the eye should follow.
+    pub bold: bool,
     /// (frame, value); a gap where there is no value.
     pub points: Vec<(f64, Option<f64>)>,
 }
@@ -114,9 +116,10 @@ impl Axes {
             );
             pen_down = true;
         }
+        let class = if series.bold { "line bold" } else { "line" };
         let _ = write!(
             out,
-            "<path class=\"line\" stroke=\"{colour}\" d=\"{path}\"/><g fill=\"{colour}\">{dots}</g>"
+            "<path class=\"{class}\" stroke=\"{colour}\" d=\"{path}\"/><g fill=\"{colour}\">{dots}</g>"
         );
     }
 }
@@ -152,7 +155,7 @@ fn tick_text(value: f64, step: f64) -> String {
     let thousands = step >= 1000.0;
     let (value, step) = if thousands { (value / 1000.0, step / 1000.0) } else { (value, step) };
     let decimals = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.decimals$}{}", if thousands { "k" } else { "" })
+    format!("{value:.decimals$}{}", if thousands && value > 0.0 { "k" } else { "" })
 }
 
 fn significant(value: f64) -> String {
@@ -181,7 +184,7 @@ mod tests {
             [vec![], vec![None], vec![Some(3.0); 2], vec![Some(f64::INFINITY), Some(1.0), Some(f64::NAN)]]
         {
             let points = values.into_iter().enumerate().map(|(i, v)| (i as f64, v)).collect();
-            let text = svg("a < b", &[Series { name: "x".into(), points }]);
+            let text = svg("a < b", &[Series { name: "x".into(), bold: false, points }]);
             assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
         }
     }

@@ -110,7 +110,7 @@ fn hostile_files_are_errors_that_name_the_file() {
     let scratch = Scratch::new();
     assert!(scratch.problem_with(b"").contains("end_header"));
     assert!(scratch.problem_with(b"plx\n").contains("`ply`"));
-    assert!(scratch.problem_with(&[b'x'; 200_000]).contains("end_header"));
+    assert!(scratch.problem_with(&vec![b'x'; 200_000]).contains("end_header"));
     let huge = foreign().replace("vertex 2", "vertex 99999999999999");
     assert!(scratch.problem_with(huge.as_bytes()).contains("truncated"));
     assert!(scratch.problem_with(foreign().replace("opacity", "o").as_bytes()).contains("`opacity`"));
