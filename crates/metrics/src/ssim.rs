@@ -137,15 +137,19 @@ pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
     Ok(LossAndGradient { value: (1.0 - LAMBDA) * l1 + LAMBDA * (1.0 - value), gradient, map })
 }
 
-/// Mean SSIM ([`Border::Same`]) of a render, clamped to [0, 1], against an 8-bit target.
+/// Mean SSIM ([`Border::Same`]) of a render, clamped to [0, 1] (NaN counts as 0), against an 8-bit target.
 pub fn image_ssim(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
     same_size(rendered.size(), target.size())?;
     let size = rendered.size();
-    let clamped: Vec<f32> = rendered.data().iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    let clamped: Vec<f32> = rendered.data().iter().map(|&v| clamp(v)).collect();
     let target = PlanarImage::from(target);
     let pair = SsimPair { shape: [3, size.height, size.width], rendered: &clamped, target: target.data() };
     // Equal sizes with at least one pixel: `Border::Same` cannot fail.
     Ok(ssim(pair, Border::Same).unwrap_or(0.0))
+}
+
+fn clamp(value: f32) -> f32 {
+    if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
 }
 
 #[derive(Clone, Copy)]

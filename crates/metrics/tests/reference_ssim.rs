@@ -1,6 +1,9 @@
 //! SSIM and its gradients against float64 values of an independent implementation (fixtures/reference/ssim).
 
-use ffgs_metrics::{Border, LossAndGradient, SsimError, SsimPair, loss_3dgs, ssim, ssim_and_gradient};
+use ffgs_core::{ImageRgb8, ImageSize, PlanarImage};
+use ffgs_metrics::{
+    Border, LossAndGradient, SsimError, SsimPair, image_ssim, loss_3dgs, ssim, ssim_and_gradient,
+};
 use npyz::npz::NpzArchive;
 use std::fs::File;
 use std::io::BufReader;
@@ -95,4 +98,15 @@ fn the_gradient_is_that_of_finite_differences_on_a_tiny_image() {
         rendered[i] = centre;
         assert!((slope - gradient).abs() < 1e-4, "value {i}: {slope} {gradient}");
     }
+}
+
+#[test]
+fn a_render_with_nan_has_a_finite_value() {
+    let size = ImageSize { width: 13, height: 5 };
+    let target = ImageRgb8::new(size, vec![90; 195]).unwrap();
+    let mut rendered = PlanarImage::from(&target);
+    assert!((image_ssim(&rendered, &target).unwrap() - 1.0).abs() < 1e-12);
+    rendered.data_mut()[3] = f32::NAN;
+    let value = image_ssim(&rendered, &target).unwrap();
+    assert!(value.is_finite() && value < 1.0);
 }
