@@ -1,0 +1,102 @@
+//! What a capture holds and what is wrong with it: images, masks and points (`dataset`), and the trackers' files
+//! (`tracks`). `ffgs check` prints it, and a run starts with it.
+
+use anyhow::Result;
+use ffgs_core::ImageSize;
+use ffgs_dataset::{Capture, CheckReport, Fault, Note, Split, check_with_progress};
+use ffgs_tracks::{TrackStore, TracksFault, TracksReport};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Inventory and faults of a capture with its trackers; prints as a table.
+#[derive(Clone, Debug, Default)]
+pub struct CaptureCheck {
+    /// The capture's content; its faults include those of the trackers.
+    pub content: CheckReport,
+    /// The trackers; empty for a capture without.
+    pub tracks: TracksReport,
+}
+
+impl CaptureCheck {
+    /// Whether a run can start.
+    pub fn is_usable(&self) -> bool {
+        self.content.is_usable()
+    }
+}
+
+impl fmt::Display for CaptureCheck {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The faults are part of the content's list.
+        let tracks = TracksReport { faults: Vec::new(), ..self.tracks.clone() };
+        if !tracks.trackers.is_empty() {
+            writeln!(f, "Trackers")?;
+        }
+        write!(f, "{tracks}{}", self.content)
+    }
+}
+
+/// Reads every file of the capture and its trackers. The bar (unless `quiet`) counts images.
+///
+/// # Errors
+/// When the capture cannot be opened at all; the message names file and fix.
+pub fn check_capture(root: &Path, quiet: bool) -> Result<CaptureCheck> {
+    let capture = Capture::open(root).map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?;
+    let bar = progress_bar(quiet);
+    let mut content = check_with_progress(&capture, &|done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    });
+    bar.set_message("tracks");
+    let tracks = check_tracks(&capture, &mut content);
+    bar.finish_and_clear();
+    Ok(CaptureCheck { content, tracks })
+}
+
+fn progress_bar(quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("check {bar:40} {pos}/{len} {msg}, {eta} left");
+    ProgressBar::new(0)
+        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        .with_message("images")
+}
+
+fn check_tracks(capture: &Capture, content: &mut CheckReport) -> TracksReport {
+    let folder = capture.root().join("tracks");
+    let tracks = match TrackStore::open(capture.root()) {
+        Ok(Some(store)) => ffgs_tracks::check(&store, &training_cameras(capture), capture.frames()),
+        Ok(None) => {
+            let text = "no tracks.json: only `ffgs run --init none` can be used".to_owned();
+            content.notes.push(Note { file: folder, text });
+            return TracksReport::default();
+        }
+        Err(error) => {
+            let fault = TracksFault { problem: error.to_string(), fix: error.fix().to_owned() };
+            TracksReport { faults: vec![fault], ..TracksReport::default() }
+        }
+    };
+    content.faults.extend(tracks.faults.iter().map(|fault| with_file(fault, &folder)));
+    tracks
+}
+
+/// Folder name and image size of the training views whose cameras are good; the others have a fault already.
+fn training_cameras(capture: &Capture) -> Vec<(String, ImageSize)> {
+    let views = capture.views(Split::Train).iter().enumerate();
+    let size = |view: usize| capture.camera(Split::Train, view, 0).ok().map(|c| c.size());
+    views.filter_map(|(v, view)| Some((view.name.clone(), size(v)?))).collect()
+}
+
+/// A tracks fault starts with its file where it has one.
+fn with_file(TracksFault { problem, fix }: &TracksFault, folder: &Path) -> Fault {
+    let end = problem.find([':', ',']).unwrap_or(0);
+    let (file, rest) = problem.split_at(end);
+    let named = !file.is_empty() && Path::new(file).starts_with(folder);
+    let (file, problem) = if named {
+        (PathBuf::from(file), rest.trim_start_matches([':', ',', ' ']).to_owned())
+    } else {
+        (folder.to_owned(), problem.clone())
+    };
+    Fault { file, problem, fix: fix.clone() }
+}

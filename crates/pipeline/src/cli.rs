@@ -1,0 +1,342 @@
+//! The command line of `ffgs`.
+
+use crate::stage::{self, Stage};
+use anyhow::Result;
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+use tracing::level_filters::LevelFilter;
+
+/// Reconstructs moving scenes as 3D Gaussians, one frame after another.
+///
+/// A capture is a folder with calibrated cameras (train_meta.json, test_meta.json), images (ims/), foreground masks
+/// (seg/), initial points (init_pt_cld.npz) and the motion that trackers found (tracks/).
+#[derive(Debug, Parser)]
+#[command(name = "ffgs", version, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Show what a capture holds and every fault in it
+    Check(CheckArgs),
+    /// Run one stage on numpy arrays
+    Stage(StageArgs),
+}
+
+/// How much is said on the standard error.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct LogArgs {
+    /// Say more: -v for what each step does, -vv for details, -vvv for everything
+    #[arg(short, long, action = ArgAction::Count)]
+    pub verbose: u8,
+    /// No progress bars, errors only
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub quiet: bool,
+}
+
+/// Where to compute.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Device {
+    /// All cores of this machine
+    #[default]
+    Cpu,
+}
+
+/// `ffgs check`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Reads every camera, image, mask, point and track of a capture and prints what it holds: views, \
+        frames, sizes, masks, points, tracks per tracker. Every fault is printed with its file and what to do about \
+        it; with a fault the exit status is 1. A run makes the same check before it starts.",
+    after_help = "Example:\n  ffgs check fixtures/scenes/fairmont-mini"
+)]
+pub struct CheckArgs {
+    /// Folder of the capture
+    pub capture: PathBuf,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// `ffgs stage`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Runs one stage of the method alone, on numpy arrays. Inputs may have any float or integer type; \
+        arrays that the stage does not know are ignored. The output is written whole or not at all.",
+    after_help = "Examples:\n  ffgs stage voronoi --input tracks.npz --output motion.npz\n  \
+        ffgs stage rasterize --input fixtures/reference/rasterize/c01_two.npz --output image.npz"
+)]
+pub struct StageArgs {
+    /// The stage; `ffgs stage --help` lists the arrays of each
+    #[arg(value_enum, value_name = "NAME")]
+    pub name: Stage,
+    /// The stage's arrays (.npz)
+    #[arg(long, value_name = "FILE")]
+    pub input: PathBuf,
+    /// Where its results go (.npz); replaced if it exists
+    #[arg(long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// `ffgs run`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Reconstructs a capture. The first frame is trained from images; each later frame starts from the \
+        one before it, moved by what the trackers saw, and is finetuned. The output folder receives splats (PLY), \
+        rendered test views, metrics.json, run.json and report.html, which opens in any browser. Finished frames \
+        survive a kill; --resume goes on from there.",
+    after_help = "Examples:\n  ffgs run fixtures/scenes/fairmont-mini --out out/mini\n  \
+        ffgs run CAPTURE --out out/quick --frames 0..3 --iterations 50\n  \
+        ffgs run CAPTURE --out out/none --init none --first-frame out/mini   # compare without motion\n  \
+        ffgs run CAPTURE --out out/mini --resume"
+)]
+pub struct RunArgs {
+    /// Folder of the capture; `ffgs check` tells whether it is usable
+    pub capture: PathBuf,
+    /// Output folder; new, or that of a run of the same capture with --resume
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Go on with the frames that are not finished; the result is that of a run that was never stopped
+    #[arg(long)]
+    pub resume: bool,
+    /// Where a frame starts: `fused` = moved by all trackers, `none` = where the last frame ended, `tracker:NAME` =
+    /// moved by one tracker
+    #[arg(long, value_name = "fused|none|tracker:NAME")]
+    pub init: Option<Init>,
+    /// Iterations of the dynamic layer a frame
+    #[arg(long, value_name = "N")]
+    pub iterations: Option<usize>,
+    /// Iterations of the static layer's colours a frame
+    #[arg(long, value_name = "N")]
+    pub static_iterations: Option<usize>,
+    /// Iterations of the first frame
+    #[arg(long, value_name = "N")]
+    pub first_iterations: Option<usize>,
+    /// Frames A to B, B left out; `..B` and `A..` are allowed
+    #[arg(long, value_name = "A..B")]
+    pub frames: Option<FrameRange>,
+    /// Training cameras to use, by name; the others are ignored
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    pub train_views: Option<Vec<String>>,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Settings beyond these options; `ffgs config` prints them all with what they mean. Options win
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Seed of every random choice; equal seeds give equal bytes
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Take the first frame from this finished run instead of training it
+    #[arg(long, value_name = "RUN")]
+    pub first_frame: Option<PathBuf>,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// `ffgs render`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Renders a finished run: one camera of the capture, or a path around the moving objects. Writes \
+        PNGs, and for a path an mp4 as well when an ffmpeg is found.",
+    after_help = "Examples:\n  ffgs render out/mini --frame 3 --camera trackside_0 --output pictures\n  \
+        ffgs render out/mini --frame 3 --orbit --output orbit",
+    group = clap::ArgGroup::new("view").required(true).args(["camera", "orbit"])
+)]
+pub struct RenderArgs {
+    /// Output folder of the run
+    pub run: PathBuf,
+    /// Frame; all frames of the run when left out
+    #[arg(long, value_name = "N")]
+    pub frame: Option<usize>,
+    /// Camera of the capture, by name
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// A circle around the moving objects
+    #[arg(long)]
+    pub orbit: bool,
+    /// Folder for the pictures
+    #[arg(long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// `ffgs eval`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Renders the test views of a finished run again from its splats and recomputes PSNR, MPSNR and SSIM.",
+    after_help = "Example:\n  ffgs eval out/mini"
+)]
+pub struct EvalArgs {
+    /// Output folder of the run
+    pub run: PathBuf,
+    /// Where to compute
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Where a frame's Gaussians start.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Init {
+    /// Moved by the fusion of all trackers.
+    #[default]
+    Fused,
+    /// Where the last frame ended.
+    None,
+    /// Moved by one tracker.
+    Tracker(String),
+}
+
+impl FromStr for Init {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match (text, text.strip_prefix("tracker:")) {
+            ("fused", _) => Ok(Self::Fused),
+            ("none", _) => Ok(Self::None),
+            (_, Some(name)) if !name.is_empty() => Ok(Self::Tracker(name.to_owned())),
+            _ => Err("expected fused, none or tracker:NAME".to_owned()),
+        }
+    }
+}
+
+/// Frames from `start` up to but not including `end`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameRange {
+    /// First frame.
+    pub start: usize,
+    /// Frame behind the last; `None` = to the end.
+    pub end: Option<usize>,
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is not A..B, e.g. 0..4 for the frames 0 to 3");
+        let (start, end) = text.split_once("..").ok_or_else(wrong)?;
+        let number = |part: &str| match part {
+            "" => Ok(None),
+            digits => digits.parse().map(Some).map_err(|_| wrong()),
+        };
+        let range = Self { start: number(start)?.unwrap_or(0), end: number(end)? };
+        match range.end {
+            Some(end) if end <= range.start => Err(format!("'{text}' holds no frame")),
+            _ => Ok(range),
+        }
+    }
+}
+
+/// Runs the program on its command line. An error is printed with its causes.
+pub fn main() -> ExitCode {
+    match dispatch(Cli::parse().command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Check(args) => {
+            start_log(args.log);
+            let check = crate::check::check_capture(&args.capture, args.log.quiet)?;
+            print!("{check}");
+            return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
+        }
+        Command::Stage(args) => {
+            start_log(args.log);
+            stage::run(args.name, &args.input, &args.output)?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Sends log messages to the standard error.
+fn start_log(log: LogArgs) {
+    let level = match (log.quiet, log.verbose) {
+        (true, _) => LevelFilter::ERROR,
+        (_, 0) => LevelFilter::WARN,
+        (_, 1) => LevelFilter::INFO,
+        (_, 2) => LevelFilter::DEBUG,
+        _ => LevelFilter::TRACE,
+    };
+    let plain = tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(level);
+    // Fails only when there is a subscriber already, which is then as good.
+    let _ = plain.without_time().with_target(false).try_init();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[derive(Debug, Parser)]
+    struct Line<T: Args> {
+        #[command(flatten)]
+        args: T,
+    }
+
+    fn parse<T: Args>(words: &[&str]) -> Result<T, clap::Error> {
+        Line::try_parse_from([&["ffgs"], words].concat()).map(|line: Line<T>| line.args)
+    }
+
+    #[test]
+    fn the_definitions_are_consistent() {
+        Cli::command().debug_assert();
+        Line::<RunArgs>::command().debug_assert();
+        Line::<RenderArgs>::command().debug_assert();
+        Line::<EvalArgs>::command().debug_assert();
+    }
+
+    #[test]
+    fn a_run_takes_its_options() {
+        let words =
+            ["cap", "--out", "o", "--init", "tracker:dot", "--frames", "2..4", "--train-views", "a,b"];
+        let args: RunArgs = parse(&words).unwrap();
+        assert_eq!(args.init, Some(Init::Tracker("dot".to_owned())));
+        assert_eq!(args.frames, Some(FrameRange { start: 2, end: Some(4) }));
+        assert_eq!(args.train_views, Some(vec!["a".to_owned(), "b".to_owned()]));
+        assert!(parse::<RunArgs>(&["cap"]).is_err());
+    }
+
+    #[test]
+    fn frames_and_starts_that_mean_nothing_are_refused() {
+        assert_eq!("..3".parse(), Ok(FrameRange { start: 0, end: Some(3) }));
+        assert_eq!("3..".parse(), Ok(FrameRange { start: 3, end: None }));
+        for wrong in ["3", "3..3", "4..2", "a..b", "-1..2"] {
+            assert!(wrong.parse::<FrameRange>().is_err(), "{wrong}");
+        }
+        assert!("tracker:".parse::<Init>().is_err());
+    }
+
+    #[test]
+    fn a_render_is_of_a_camera_or_a_path() {
+        assert!(parse::<RenderArgs>(&["out", "--output", "p", "--orbit"]).unwrap().orbit);
+        assert!(parse::<RenderArgs>(&["out", "--output", "p"]).is_err());
+        assert!(parse::<RenderArgs>(&["out", "--output", "p", "--orbit", "--camera", "a"]).is_err());
+    }
+}

@@ -1,0 +1,68 @@
+//! Single stages on numpy arrays: what `ffgs stage` does.
+//!
+//! Inputs may be of any float width, integer type and byte order; arrays that a stage does not know are ignored.
+
+mod agreement;
+pub mod associate;
+mod fuse;
+mod input;
+mod rasterize;
+mod ssim;
+mod triangulate;
+mod validate;
+mod voronoi;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use ffgs_arrays::NpzWriter;
+use input::Input;
+use std::path::Path;
+
+/// A stage that runs alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Stage {
+    /// Tracks to a dense motion field: src, tgt (N,2), visibility (N), size [H,W], k, sigma -> flow, visibility,
+    /// confidence. Pixel centres at whole numbers (Algorithm 2)
+    Voronoi,
+    /// Agreement between trackers: flow (L,H,W,2), confidence (L,H,W), magnitude_floor (px) -> confidence
+    Agreement,
+    /// Motion to Gaussians: top_indices, top_weights (H,W,K), flow, confidence, mask (H,W), projected (N,2),
+    /// flow_floor (px) -> weight (L,N), target (L,N,2), coverage (N)
+    Associate,
+    /// Displaced projections to positions: means (N,3), targets (V,N,2), weights (V,N), intrinsics (V,4),
+    /// camera_from_world (V,4,4) -> means, covariances, valid
+    Triangulate,
+    /// Trackers with the temporal prior: prior_means, prior_covariances, means (L,N,3), covariances (L,N,3,3),
+    /// valid (L,N) -> means, covariances, q
+    Fuse,
+    /// Positions against masks: means (N,3), intrinsics, camera_from_world, masks (V,H,W), slack -> valid, inside,
+    /// seen
+    Validate,
+    /// Gaussians to an image, and its gradients: in_means, in_quats, in_log_scales, in_opacity_logits, in_sh,
+    /// in_viewmat, in_K, in_background, width, height, sh_degree, antialiased, w_rgb, w_alpha -> image, alpha, grad_*
+    Rasterize,
+    /// Similarity of images: img1, img2 (C,H,W) -> same_*, valid_*, loss3dgs_* (value, map, grad)
+    Ssim,
+}
+
+/// Runs one stage on the arrays of `input` and writes its results to `output` (.npz), whole or not at all.
+///
+/// # Errors
+/// Names the file and the array that cannot be used.
+pub fn run(stage: Stage, input: &Path, output: &Path) -> Result<()> {
+    let arrays = Input::open(input)?;
+    let work = match stage {
+        Stage::Voronoi => voronoi::run,
+        Stage::Agreement => agreement::run,
+        Stage::Associate => associate::run,
+        Stage::Triangulate => triangulate::run,
+        Stage::Fuse => fuse::run,
+        Stage::Validate => validate::run,
+        Stage::Rasterize => rasterize::run,
+        Stage::Ssim => ssim::run,
+    };
+    let results: NpzWriter =
+        work(&arrays).with_context(|| format!("stage {stage:?} on {}", input.display()))?;
+    results.write(output)?;
+    Ok(())
+}
