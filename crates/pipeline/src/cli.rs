@@ -25,6 +25,10 @@ pub struct Cli {
 pub enum Command {
     /// Show what a capture holds and every fault in it
     Check(CheckArgs),
+    /// Reconstruct a capture, frame by frame
+    Run(RunArgs),
+    /// Print the default configuration
+    Config,
     /// Run one stage on numpy arrays
     Stage(StageArgs),
 }
@@ -267,6 +271,12 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             print!("{check}");
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }
+        Command::Run(args) => {
+            start_log(args.log);
+            let report = crate::run::run(&crate::request::from_args(&args)?)?;
+            println!("{}", report.display());
+        }
+        Command::Config => crate::config::print_default()?,
         Command::Stage(args) => {
             start_log(args.log);
             stage::run(args.name, &args.input, &args.output)?;

@@ -2,4 +2,14 @@
 
 pub mod check;
 pub mod cli;
+pub mod config;
+mod console;
+mod frame;
+mod manifest;
+mod motion;
+pub mod record;
+mod request;
+pub mod run;
+mod scoring;
 pub mod stage;
+mod state;

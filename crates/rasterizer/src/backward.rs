@@ -157,7 +157,10 @@ struct Differentiate<'a, S: Simd> {
 impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
     #[inline(always)]
     fn begin(&mut self, simd: S, splat: &Splat) {
-        self.colour = splat.colour.map(|c| simd.splat_f32s(c));
+        // Plain loops: a closure handed to `map` would be compiled without the dispatched instruction set.
+        for k in 0..3 {
+            self.colour[k] = simd.splat_f32s(splat.colour[k]);
+        }
         self.opacity = simd.splat_f32s(splat.opacity);
         self.conic = splat.conic;
         self.sums = [simd.splat_f32s(0.0); ENTRY];
@@ -166,7 +169,7 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
     #[inline(always)]
     fn visit(&mut self, simd: S, c: &Contribution<S>) {
         let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let g = [0, 1, 2].map(|k| self.rgb[k][c.vector]);
+        let g = [self.rgb[0][c.vector], self.rgb[1][c.vector], self.rgb[2][c.vector]];
         let mut shade = simd.mul_f32s(g[0], self.colour[0]);
         shade = simd.mul_add_e_f32s(g[1], self.colour[1], shade);
         shade = simd.mul_add_e_f32s(g[2], self.colour[2], shade);
@@ -193,7 +196,10 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
 
     #[inline(always)]
     fn end(&mut self, simd: S, entry: usize) {
-        let s = self.sums.map(|v| simd.reduce_sum_f32s(v));
+        let mut s = [0.0; ENTRY];
+        for k in 0..ENTRY {
+            s[k] = simd.reduce_sum_f32s(self.sums[k]);
+        }
         let [a, b, c] = self.conic;
         // sigma = a dx^2 / 2 + b dx dy + c dy^2 / 2 with dx = pixel - mean, and d_exponent = -dL/dsigma.
         self.entries[entry] = [

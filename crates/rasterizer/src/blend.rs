@@ -72,6 +72,15 @@ fn any<S: Simd>(simd: S, mask: S::m32s) -> bool {
     simd.first_true_m32s(mask) < S::F32_LANES
 }
 
+#[inline(always)]
+fn all_finished<S: Simd>(simd: S, state: &[S::f32s]) -> bool {
+    let mut highest = simd.splat_f32s(0.0);
+    for &t in state {
+        highest = simd.max_f32s(highest, t);
+    }
+    !any(simd, simd.greater_than_f32s(highest, simd.splat_f32s(0.0)))
+}
+
 /// Columns 0, 1, 2, … as floats.
 const COLUMNS: [f32; TILE] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
@@ -126,7 +135,7 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     let zero = simd.splat_f32s(0.0);
     for (entry, &slot) in slots.iter().enumerate() {
         // Every 16 splats: a tile whose pixels are all finished is done.
-        if entry % 16 == 15 && !state.iter().any(|&t| any(simd, simd.greater_than_f32s(t, zero))) {
+        if entry % 16 == 15 && all_finished(simd, state) {
             break;
         }
         let splat = &splats[slot as usize];

@@ -133,7 +133,10 @@ struct AddColour<'a, S: Simd> {
 impl<S: Simd> Visitor<S> for AddColour<'_, S> {
     #[inline(always)]
     fn begin(&mut self, simd: S, splat: &Splat) {
-        self.colour = splat.colour.map(|c| simd.splat_f32s(c));
+        // Plain loops: a closure handed to `map` would be compiled without the dispatched instruction set.
+        for k in 0..3 {
+            self.colour[k] = simd.splat_f32s(splat.colour[k]);
+        }
     }
 
     #[inline(always)]

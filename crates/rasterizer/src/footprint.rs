@@ -230,6 +230,8 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
     fn end(&mut self, simd: S, entry: usize) {
         let width = self.sums.len();
         let out = &mut self.entries[entry * width..(entry + 1) * width];
-        out.iter_mut().zip(&self.sums).for_each(|(o, &s)| *o = simd.reduce_sum_f32s(s));
+        for (o, &s) in out.iter_mut().zip(&self.sums) {
+            *o = simd.reduce_sum_f32s(s);
+        }
     }
 }

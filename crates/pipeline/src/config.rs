@@ -1,0 +1,132 @@
+//! Every default of the method, in one TOML file.
+
+use anyhow::{Context, Result};
+use ffgs_fusion::{DensifyConfig, FusionConfig};
+use ffgs_trainer::{BackgroundLanesConfig, DynamicLaneConfig, FirstFrameConfig};
+use ffgs_triangulation::TriangulationConfig;
+use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The configuration of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Edge of a sky cube face (px).
+    pub sky_face_size: usize,
+    /// Frame 0.
+    pub first_frame: FirstFrameConfig,
+    /// Which Gaussians are dynamic, and which of them stay valid.
+    pub marking: MarkingConfig,
+    /// Densification of tracks (Algorithm 2).
+    pub voronoi: VoronoiConfig,
+    /// Cross-level agreement.
+    pub agreement: AgreementConfig,
+    /// Gaussians to pixels.
+    pub association: AssociationConfig,
+    /// Rays to positions.
+    pub triangulation: TriangulationConfig,
+    /// Positions to a posterior.
+    pub fusion: FusionConfig,
+    /// Growth by uncertainty.
+    pub densification: DensifyConfig,
+    /// Finetuning of the dynamic layer.
+    pub dynamic: DynamicLaneConfig,
+    /// Finetuning of the static layer and the sky.
+    pub background: BackgroundLanesConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            sky_face_size: 128,
+            first_frame: FirstFrameConfig::default(),
+            marking: MarkingConfig::default(),
+            voronoi: VoronoiConfig::default(),
+            agreement: AgreementConfig::default(),
+            association: AssociationConfig::default(),
+            triangulation: TriangulationConfig::default(),
+            fusion: FusionConfig::default(),
+            densification: DensifyConfig::default(),
+            dynamic: DynamicLaneConfig::default(),
+            background: BackgroundLanesConfig::default(),
+        }
+    }
+}
+
+/// A Gaussian is dynamic (valid) when inside the mask in all but `slack` of the views that see it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MarkingConfig {
+    /// Pixels by which the mask is grown before marking at t = 0.
+    pub dilation: usize,
+    /// Views that may disagree.
+    pub slack: u32,
+    /// Share of the dynamic layer lost in one frame beyond which the run warns.
+    pub loss_warning: f64,
+}
+
+impl Default for MarkingConfig {
+    fn default() -> Self {
+        Self { dilation: 2, slack: 2, loss_warning: 0.2 }
+    }
+}
+
+/// Sums over the pixels a Gaussian covers (Algorithm 1, lines 15 to 19).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AssociationConfig {
+    /// Least motion in the weight (px); 0 = literal, and standing parts are never measured.
+    pub flow_floor_px: f32,
+    /// Least sum of blending weights.
+    pub min_coverage: f32,
+    /// Least number of pixels.
+    pub min_hits: u32,
+}
+
+impl Default for AssociationConfig {
+    fn default() -> Self {
+        Self { flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 }
+    }
+}
+
+impl Config {
+    /// Reads a TOML file; keys that it leaves out keep their defaults, unknown keys are errors.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text =
+            std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        toml::from_str(&text).with_context(|| {
+            format!("{} is not a valid configuration; `ffgs config` prints every key", path.display())
+        })
+    }
+
+    /// As TOML.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).context("the configuration cannot be written as TOML")
+    }
+}
+
+/// Prints the default configuration.
+pub fn print_default() -> Result<()> {
+    println!("# Every key with its default; pass a file with any of them as `ffgs run --config FILE`.");
+    println!(
+        "# Units: px, m, seconds; rates are Adam step sizes. The meaning of each key: docs/CONFIGURATION.md."
+    );
+    print!("{}", Config::default().to_toml()?);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_survives_a_round_trip_and_unknown_keys_are_refused() {
+        let text = Config::default().to_toml().unwrap();
+        assert_eq!(toml::from_str::<Config>(&text).unwrap(), Config::default());
+        assert!(toml::from_str::<Config>("iterashuns = 3").is_err());
+    }
+}

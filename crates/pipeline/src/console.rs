@@ -1,0 +1,97 @@
+//! Progress on the terminal.
+
+use crate::record::{FrameRecord, Metrics};
+use ffgs_trainer::Progress;
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::ops::Range;
+
+/// The bars of a run: one for the frames, one a lane while it works.
+pub struct Console {
+    bars: MultiProgress,
+    frames: ProgressBar,
+}
+
+/// One lane's bar; it disappears with the lane.
+pub struct Lane(ProgressBar);
+
+fn style(template: &str) -> ProgressStyle {
+    // The templates are constants of this file; a broken one shows the default bar.
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
+impl Console {
+    /// Bars on the error stream, hidden when `quiet` or when it is no terminal.
+    pub fn new(quiet: bool, frames: Range<usize>) -> Self {
+        let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let bars = MultiProgress::with_draw_target(target);
+        let bar = bars.add(ProgressBar::new(frames.len() as u64));
+        bar.set_style(style("frames {bar:30} {pos}/{len}  {msg}  {elapsed} passed, {eta} left"));
+        Self { bars, frames: bar }
+    }
+
+    /// A frame begins.
+    pub fn begin_frame(&mut self, frame: usize) {
+        self.frames.set_message(format!("frame {frame}"));
+        self.frames.tick();
+    }
+
+    /// A bar for one lane.
+    pub fn lane(&self, name: &'static str, iterations: usize) -> Lane {
+        let bar = self.bars.add(ProgressBar::new(iterations as u64));
+        bar.set_style(style("  {prefix:12} {bar:24} {pos}/{len}  {msg}  {eta} left"));
+        bar.set_prefix(name);
+        Lane(bar)
+    }
+
+    /// A frame is written.
+    pub fn end_frame(&mut self, record: &FrameRecord) {
+        self.frames.inc(1);
+        let of = |f: fn(&crate::record::ViewMetrics) -> Option<f64>| {
+            let values: Vec<f64> = record.views.iter().filter_map(f).collect();
+            values.iter().sum::<f64>() / values.len().max(1) as f64
+        };
+        tracing::info!(
+            "frame {}: PSNR {:.2} dB, MPSNR {:.2} dB, {} + {} Gaussians, {:.1} s",
+            record.frame,
+            of(|v| Some(v.psnr)),
+            of(|v| v.mpsnr),
+            record.static_gaussians,
+            record.dynamic_gaussians,
+            record.seconds.wall.unwrap_or(0.0)
+        );
+        for warning in &record.warnings {
+            tracing::warn!("frame {}: {warning}", record.frame);
+        }
+    }
+
+    /// The run is done.
+    pub fn finish(&self, metrics: &Metrics) {
+        self.frames.finish_and_clear();
+        let m = &metrics.mean;
+        let show = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.2}"));
+        tracing::info!(
+            "mean over test views, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s a frame",
+            show(m.psnr),
+            show(m.mpsnr),
+            show(m.ssim),
+            show(m.seconds_per_frame)
+        );
+    }
+}
+
+impl Lane {
+    /// Shows a step; the terminal is touched every 10 steps only.
+    pub fn show(&self, p: Progress) {
+        if p.iteration.is_multiple_of(10) || p.iteration == p.iterations {
+            self.0.set_position(p.iteration as u64);
+            self.0
+                .set_message(format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians));
+        }
+    }
+}
+
+impl Drop for Lane {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

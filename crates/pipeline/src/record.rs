@@ -1,0 +1,195 @@
+//! What a run writes, and reads again on resume: frame folders, metrics, the report.
+
+use anyhow::{Context, Result};
+use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Metrics of one test view.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ViewMetrics {
+    /// Camera.
+    pub camera: String,
+    /// Whether the camera stands still over the capture (trackside).
+    pub fixed: bool,
+    /// PSNR (dB).
+    pub psnr: f64,
+    /// PSNR over the foreground (dB); absent when the mask is empty.
+    pub mpsnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: f64,
+}
+
+/// One finished frame.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Index in the capture.
+    pub frame: usize,
+    /// Test views.
+    pub views: Vec<ViewMetrics>,
+    /// Gaussians of the static layer.
+    pub static_gaussians: usize,
+    /// Gaussians of the dynamic layer.
+    pub dynamic_gaussians: usize,
+    /// Bytes of the frame's splat files.
+    pub bytes: u64,
+    /// Seconds a stage.
+    pub seconds: StageSeconds,
+    /// Counted skips.
+    pub skips: BTreeMap<String, u64>,
+    /// Warnings.
+    pub warnings: Vec<String>,
+}
+
+/// Means over frames and views.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Mean {
+    /// PSNR (dB).
+    pub psnr: Option<f64>,
+    /// PSNR over the foreground (dB).
+    pub mpsnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// Wall clock a frame (s).
+    pub seconds_per_frame: Option<f64>,
+    /// Gaussians of all layers.
+    pub gaussians: Option<f64>,
+    /// Bytes of a frame's splat files.
+    pub bytes_per_frame: Option<f64>,
+}
+
+/// `metrics.json`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Over all test views and frames >= 1.
+    pub mean: Mean,
+    /// Over the test cameras that stand still.
+    pub mean_trackside: Mean,
+    /// Every frame.
+    pub frames: Vec<FrameRecord>,
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, n) = values.fold((0.0, 0_usize), |(s, n), v| (s + v, n + 1));
+    (n > 0).then(|| sum / n as f64)
+}
+
+fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mean {
+    let later: Vec<&FrameRecord> = frames.iter().filter(|f| f.frame > 0).collect();
+    let views: Vec<&ViewMetrics> = later.iter().flat_map(|f| &f.views).filter(|v| keep(v)).collect();
+    Mean {
+        psnr: mean(views.iter().map(|v| v.psnr)),
+        mpsnr: mean(views.iter().filter_map(|v| v.mpsnr)),
+        ssim: mean(views.iter().map(|v| v.ssim)),
+        seconds_per_frame: mean(later.iter().filter_map(|f| f.seconds.wall)),
+        gaussians: mean(later.iter().map(|f| (f.static_gaussians + f.dynamic_gaussians) as f64)),
+        bytes_per_frame: mean(later.iter().map(|f| f.bytes as f64)),
+    }
+}
+
+impl Metrics {
+    /// Summarises finished frames.
+    pub fn of(frames: Vec<FrameRecord>) -> Self {
+        Self { mean: summarise(&frames, |_| true), mean_trackside: summarise(&frames, |v| v.fixed), frames }
+    }
+}
+
+/// Where the files of a run lie.
+#[derive(Clone, Debug)]
+pub struct RunFolder(pub PathBuf);
+
+impl RunFolder {
+    /// Folder of one frame.
+    pub fn frame(&self, frame: usize) -> PathBuf {
+        self.0.join(format!("frames/{frame:06}"))
+    }
+
+    /// The frame's exact state; it exists when, and only when, the frame is finished.
+    pub fn state(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("state.ffgs")
+    }
+
+    /// The frame's numbers.
+    pub fn record(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("frame.json")
+    }
+
+    /// The run's own description.
+    pub fn manifest(&self) -> PathBuf {
+        self.0.join("run.json")
+    }
+}
+
+/// Writes JSON through a temporary file.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    ffgs_core::write_atomically(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, value)?;
+        std::io::Write::write_all(out, b"\n").map_err(anyhow::Error::from)
+    })
+    .with_context(|| format!("cannot write {}; is the folder writable, the disk full?", path.display()))
+}
+
+/// Reads JSON.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_str(&text)
+        .with_context(|| format!("{} is damaged; remove it and resume", path.display()))
+}
+
+/// Writes `metrics.json` and `report.html`.
+pub fn publish(
+    folder: &RunFolder,
+    title: &str,
+    configuration: String,
+    facts: Vec<Fact>,
+    frames: Vec<FrameRecord>,
+    ground_truth: impl Fn(&str, usize) -> PathBuf,
+) -> Result<Metrics> {
+    let metrics = Metrics::of(frames);
+    write_json(&folder.0.join("metrics.json"), &metrics)?;
+    let mut skips = BTreeMap::<String, u64>::new();
+    for (what, count) in metrics.frames.iter().flat_map(|f| &f.skips) {
+        *skips.entry(what.clone()).or_default() += count;
+    }
+    let input = ReportInput {
+        title: title.into(),
+        configuration,
+        facts,
+        frames: metrics.frames.iter().map(|f| frame_report(folder, f, &ground_truth)).collect(),
+        skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
+        warnings: metrics
+            .frames
+            .iter()
+            .flat_map(|f| f.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
+            .collect(),
+    };
+    ffgs_report::write_report(&folder.0.join("report.html"), &input)?;
+    Ok(metrics)
+}
+
+fn frame_report(folder: &RunFolder, f: &FrameRecord, truth: &impl Fn(&str, usize) -> PathBuf) -> FrameReport {
+    let at = folder.frame(f.frame);
+    let picture = |name: &str| Some(at.join(name)).filter(|p| p.exists());
+    FrameReport {
+        index: f.frame,
+        views: f
+            .views
+            .iter()
+            .map(|v| ViewReport {
+                name: v.camera.clone(),
+                psnr: Some(v.psnr),
+                mpsnr: v.mpsnr,
+                ssim: Some(v.ssim),
+                ground_truth: truth(&v.camera, f.frame),
+                render: at.join(format!("test/{}.png", v.camera)),
+            })
+            .collect(),
+        static_gaussians: f.static_gaussians,
+        dynamic_gaussians: f.dynamic_gaussians,
+        bytes: f.bytes,
+        seconds: f.seconds,
+        motion: picture("motion.png"),
+        uncertainty: picture("uncertainty.png"),
+    }
+}

@@ -1,0 +1,27 @@
+//! From the command line to a request.
+
+use crate::cli::RunArgs;
+use crate::config::Config;
+use crate::run::RunRequest;
+use anyhow::Result;
+
+/// Merges the configuration file (or the defaults) with the options, which win.
+pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
+    let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    config.seed = args.seed.unwrap_or(config.seed);
+    config.first_frame.iterations = args.first_iterations.unwrap_or(config.first_frame.iterations);
+    config.dynamic.iterations = args.iterations.unwrap_or(config.dynamic.iterations);
+    config.background.static_iterations =
+        args.static_iterations.unwrap_or(config.background.static_iterations);
+    Ok(RunRequest {
+        capture: args.capture.clone(),
+        out: args.out.clone(),
+        resume: args.resume,
+        init: args.init.clone().unwrap_or_default(),
+        frames: args.frames,
+        train_views: args.train_views.clone(),
+        first_frame: args.first_frame.clone(),
+        quiet: args.log.quiet,
+        config,
+    })
+}

@@ -1,0 +1,326 @@
+//! `ffgs run`: the main job. Read this first: it composes every stage of the method.
+
+use crate::cli::{FrameRange, Init};
+use crate::config::Config;
+use crate::console::Console;
+use crate::frame::{TrainViews, cameras_and_masks, load_training, load_view};
+use crate::manifest::Manifest;
+use crate::motion::{Dynamic, MotionInput, MotionOutcome, initialise, pixel_sizes, positions};
+use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
+use crate::scoring::{Layers, score, write_png};
+use crate::state;
+use anyhow::{Context, Result, bail};
+use ffgs_core::{Gaussians, ImageRgb8, ImageSize};
+use ffgs_dataset::{Capture, Split};
+use ffgs_fusion::{dynamic_split, initial_covariance};
+use ffgs_report::{motion_picture, uncertainty_picture};
+use ffgs_tracks::TrackStore;
+use ffgs_trainer::{
+    INITIAL_OPACITY, SkyCube, Surroundings, TrainingView, from_points, train_dynamic, train_first_frame,
+    train_sky, train_static,
+};
+use std::ops::Range;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct RunRequest {
+    /// Capture folder.
+    pub capture: PathBuf,
+    /// Output folder.
+    pub out: PathBuf,
+    /// Go on after the last finished frame.
+    pub resume: bool,
+    /// Trackers.
+    pub init: Init,
+    /// Frames; `None` = all. The first is trained from the initial points.
+    pub frames: Option<FrameRange>,
+    /// Training cameras; `None` = all.
+    pub train_views: Option<Vec<String>>,
+    /// Take frame 0 from this run instead of training it.
+    pub first_frame: Option<PathBuf>,
+    /// No progress bars.
+    pub quiet: bool,
+    /// Everything else.
+    pub config: Config,
+}
+
+/// Runs the job and returns the path of the report.
+pub fn run(request: &RunRequest) -> Result<PathBuf> {
+    let job = Job::open(request)?;
+    let mut console = Console::new(request.quiet, job.frames.clone());
+    let mut records = Vec::new();
+    let mut layers: Option<Layers> = None;
+    for frame in job.frames.clone() {
+        if request.resume && job.folder.state(frame).exists() {
+            records.push(read_json(&job.folder.record(frame))?);
+            layers = Some(state::load(&job.folder.state(frame))?);
+            continue;
+        }
+        console.begin_frame(frame);
+        let (next, record) = match layers.take() {
+            None => job.first_frame(frame, &mut console)?,
+            Some(previous) => job.next_frame(frame, previous, &console)?,
+        };
+        console.end_frame(&record);
+        records.push(record);
+        layers = Some(next);
+        job.publish(&records)?;
+    }
+    let metrics = job.publish(&records)?;
+    console.finish(&metrics);
+    Ok(job.folder.0.join("report.html"))
+}
+
+struct Job<'a> {
+    request: &'a RunRequest,
+    capture: Capture,
+    tracks: Option<TrackStore>,
+    views: TrainViews,
+    frames: Range<usize>,
+    folder: RunFolder,
+    manifest: Manifest,
+}
+
+impl<'a> Job<'a> {
+    fn open(request: &'a RunRequest) -> Result<Self> {
+        let check = crate::check::check_capture(&request.capture, request.quiet)?;
+        if !check.is_usable() {
+            bail!("the capture cannot be used:\n{check}");
+        }
+        let capture = Capture::open(&request.capture)?;
+        let views = TrainViews::select(&capture, request.train_views.as_deref())?;
+        if views.selected.len() < 2 {
+            bail!("positions need at least two training views; {} selected", views.selected.len());
+        }
+        let tracks = TrackStore::open(&request.capture)?;
+        require_tracker(&request.init, tracks.as_ref())?;
+        let count = capture.frames();
+        let frames = request.frames.map_or(0..count, |f| f.start..f.end.unwrap_or(count));
+        if frames.is_empty() || frames.end > count {
+            bail!("--frames {}..{}: the capture has frames 0..{count}", frames.start, frames.end);
+        }
+        let folder = RunFolder(request.out.clone());
+        let manifest = Manifest::new(request, &frames)?;
+        manifest.claim(&folder, request.resume)?;
+        Ok(Self { request, capture, tracks, views, frames, folder, manifest })
+    }
+
+    fn config(&self) -> &Config {
+        &self.request.config
+    }
+
+    fn publish(&self, records: &[FrameRecord]) -> Result<crate::record::Metrics> {
+        let name = |camera: &str, frame: usize| {
+            let view = self.capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
+            self.capture.image_path(Split::Test, view, frame).unwrap_or_default()
+        };
+        let title = format!("fastflowgs: {}", self.manifest.capture);
+        publish(&self.folder, &title, self.config().to_toml()?, self.manifest.facts(), records.to_vec(), name)
+    }
+
+    /// Frame 0: all layers together, then the split.
+    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Layers, FrameRecord)> {
+        let start = Instant::now();
+        let mut record = FrameRecord { frame, ..FrameRecord::default() };
+        let layers = if let Some(run) = &self.request.first_frame {
+            state::load(&RunFolder(run.clone()).state(frame))
+                .context("--first-frame: not a run of this capture")?
+        } else {
+            let views = load_training(&self.capture, &self.views, frame)?;
+            let mut training = views.clone();
+            if frame == 0 {
+                for v in 0..self.capture.views(Split::Init).len() {
+                    training.push(load_view(&self.capture, Split::Init, v, 0)?);
+                }
+            }
+            record.seconds.load = Some(start.elapsed().as_secs_f64());
+            let trained = self.train_all(&training, console)?;
+            self.split(trained.gaussians, trained.sky, &views, &training)?
+        };
+        record.seconds.wall = Some(start.elapsed().as_secs_f64());
+        self.finish(frame, layers, record)
+    }
+
+    fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<ffgs_trainer::FirstFrame> {
+        let points = self.capture.initial_points()?;
+        let degree = self.config().first_frame.sh_degree;
+        let initial = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
+        let sky = SkyCube::filled(self.config().sky_face_size, mean_colour(views));
+        let bar = console.lane("first frame", self.config().first_frame.iterations);
+        let extent = camera_extent(views);
+        let seed = self.config().seed;
+        Ok(train_first_frame(&self.config().first_frame, views, initial, sky, extent, seed, &mut |p| {
+            bar.show(p)
+        }))
+    }
+
+    fn split(
+        &self,
+        all: Gaussians,
+        sky: SkyCube,
+        views: &[TrainingView],
+        training: &[TrainingView],
+    ) -> Result<Layers> {
+        let (cameras, masks) = cameras_and_masks(training);
+        let marking = self.config().marking;
+        let moving = dynamic_split(&positions(&all), &cameras, &masks, marking.dilation, marking.slack)?;
+        let indices = |keep: bool| (0..all.len()).filter(|&i| moving[i] == keep).collect::<Vec<_>>();
+        let gaussians = all.select(&indices(true));
+        if gaussians.is_empty() {
+            tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");
+        }
+        let pixel_m = pixel_sizes(&positions(&gaussians), views);
+        let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
+        let axes = gaussians.log_scales.iter().map(smallest);
+        let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
+        let dynamic = Dynamic { gaussians, covariances, q: 0.0 };
+        Ok(Layers { static_layer: all.select(&indices(false)), dynamic, sky })
+    }
+
+    /// t - 1 to t: motion initialisation, then the three lanes at the same time.
+    fn next_frame(
+        &self,
+        frame: usize,
+        mut layers: Layers,
+        console: &Console,
+    ) -> Result<(Layers, FrameRecord)> {
+        let start = Instant::now();
+        let before = load_training(&self.capture, &self.views, frame - 1)?;
+        let now = load_training(&self.capture, &self.views, frame)?;
+        let loading = start.elapsed().as_secs_f64();
+        let input = MotionInput {
+            config: self.config(),
+            init: &self.request.init,
+            tracks: self.tracks.as_ref(),
+            views: &self.views,
+            before: &before,
+            now: &now,
+            frame,
+            static_layer: &layers.static_layer,
+        };
+        let motion = initialise(&input, &mut layers.dynamic)?;
+        let mut record = FrameRecord { frame, ..FrameRecord::default() };
+        record.seconds = motion.seconds;
+        record.seconds.load = Some(loading + motion.seconds.load.unwrap_or(0.0));
+        record.skips.clone_from(&motion.skips);
+        record.warnings.clone_from(&motion.warnings);
+        self.write_pictures(frame, &layers.dynamic, &motion, &now)?;
+        self.finetune(frame, &mut layers, &now, console, &mut record);
+        record.seconds.wall = Some(start.elapsed().as_secs_f64());
+        self.finish(frame, layers, record)
+    }
+
+    /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
+    fn finetune(
+        &self,
+        frame: usize,
+        layers: &mut Layers,
+        views: &[TrainingView],
+        console: &Console,
+        record: &mut FrameRecord,
+    ) {
+        let config = self.config();
+        let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
+        let (static_start, sky_start) = (layers.static_layer.clone(), layers.sky.clone());
+        let around = Surroundings { static_layer: &static_start, sky: &sky_start };
+        let Layers { static_layer, dynamic, sky } = layers;
+        let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
+        let static_bar = console.lane("static", config.background.static_iterations);
+        let timed = |work: &mut (dyn FnMut() + Send)| {
+            let start = Instant::now();
+            work();
+            Some(start.elapsed().as_secs_f64())
+        };
+        let (dynamic_s, (static_s, sky_s)) = rayon::join(
+            || {
+                timed(&mut || {
+                    let layer = &mut dynamic.gaussians;
+                    train_dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p));
+                })
+            },
+            || {
+                let background = &config.background;
+                let mut train = || {
+                    train_static(background, views, &sky_start, static_layer, seed, &mut |p| {
+                        static_bar.show(p)
+                    });
+                };
+                let static_s = timed(&mut train);
+                (static_s, timed(&mut || train_sky(background, views, &static_start, sky, seed)))
+            },
+        );
+        record.seconds.dynamic = dynamic_s;
+        record.seconds.static_lane = static_s;
+        record.seconds.sky = sky_s;
+    }
+
+    fn write_pictures(
+        &self,
+        frame: usize,
+        dynamic: &Dynamic,
+        motion: &MotionOutcome,
+        views: &[TrainingView],
+    ) -> Result<()> {
+        let Some(best) = views.iter().max_by_key(|v| v.mask.count()).filter(|v| v.mask.count() > 0) else {
+            return Ok(());
+        };
+        let (camera, image): (_, &ImageRgb8) = (&best.camera, &best.image);
+        let now = positions(&dynamic.gaussians);
+        let folder = self.folder.frame(frame);
+        write_png(&folder.join("motion.png"), &motion_picture(camera, &motion.previous, &now, image)?)?;
+        let uncertainty = uncertainty_picture(camera, &now, &dynamic.covariances, image)?;
+        write_png(&folder.join("uncertainty.png"), &uncertainty)
+    }
+
+    /// Writes everything of a frame; the state comes last and marks the frame as finished.
+    fn finish(&self, frame: usize, layers: Layers, mut record: FrameRecord) -> Result<(Layers, FrameRecord)> {
+        let folder = self.folder.frame(frame);
+        let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
+        ffgs_splats::write_ply(&static_ply, &layers.static_layer, None)?;
+        ffgs_splats::write_ply(&dynamic_ply, &layers.dynamic.gaussians, Some(&layers.dynamic.covariances))?;
+        let texels = layers.sky.texels.as_flattened();
+        ffgs_splats::write_sky_cross(&folder.join("sky.png"), layers.sky.face_size(), texels)?;
+        record.views = score(&self.capture, &layers, frame, &folder)?;
+        record.static_gaussians = layers.static_layer.len();
+        record.dynamic_gaussians = layers.dynamic.gaussians.len();
+        let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
+        record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
+        write_json(&self.folder.record(frame), &record)?;
+        state::save(&self.folder.state(frame), frame, &layers)?;
+        Ok((layers, record))
+    }
+}
+
+fn require_tracker(init: &Init, tracks: Option<&TrackStore>) -> Result<()> {
+    let Init::Tracker(name) = init else { return Ok(()) };
+    let known: Vec<&str> =
+        tracks.map(|t| t.trackers().iter().map(|k| k.name.as_str()).collect()).unwrap_or_default();
+    if known.contains(&name.as_str()) {
+        return Ok(());
+    }
+    bail!("--init tracker:{name}: tracks/tracks.json names {known:?}")
+}
+
+/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
+fn camera_extent(views: &[TrainingView]) -> f32 {
+    let centers = || views.iter().map(|v| v.camera.center());
+    let mean = centers().sum::<glam::DVec3>() / views.len().max(1) as f64;
+    1.1 * centers().map(|c| (c - mean).length()).fold(0.0, f64::max) as f32
+}
+
+/// Mean colour of the top rows, where outdoor views show the sky.
+fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
+    let mut sum = [0.0_f64; 3];
+    let mut count = 0.0;
+    for view in views {
+        let ImageSize { width, height } = view.image.size();
+        for pixel in 0..width * (height / 8).max(1) {
+            let rgb = view.image.pixel(pixel);
+            (0..3).for_each(|c| sum[c] += f64::from(rgb[c]));
+            count += 1.0;
+        }
+    }
+    sum.map(|s| (s / f64::max(count, 1.0)) as f32)
+}

@@ -1,0 +1,48 @@
+use ffgs_core::{Camera, ImageRgb8, Mask};
+
+/// One training photograph of a frame.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// Camera of this frame.
+    pub camera: Camera,
+    /// The photograph, of the camera's size.
+    pub image: ImageRgb8,
+    /// Foreground mask; all background where the capture has none.
+    pub mask: Mask,
+}
+
+/// What a training loop reports after a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Steps done.
+    pub iteration: usize,
+    /// Steps in all.
+    pub iterations: usize,
+    /// Running mean of the loss.
+    pub loss: f64,
+    /// PSNR of the running mean squared error over counted pixels (dB).
+    pub psnr: f64,
+    /// Gaussians now.
+    pub gaussians: usize,
+}
+
+/// Exponential running means of the loss and the squared error.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Running {
+    loss: Option<(f64, f64)>,
+}
+
+impl Running {
+    /// Weight of the newest step: an average over some twenty views.
+    const RATE: f64 = 0.05;
+
+    pub(crate) fn add(&mut self, loss: f64, mse: f64) {
+        let (l, m) = self.loss.unwrap_or((loss, mse));
+        self.loss = Some((l + Self::RATE * (loss - l), m + Self::RATE * (mse - m)));
+    }
+
+    pub(crate) fn progress(&self, iteration: usize, iterations: usize, gaussians: usize) -> Progress {
+        let (loss, mse) = self.loss.unwrap_or((f64::NAN, f64::NAN));
+        Progress { iteration, iterations, loss, psnr: -10.0 * mse.max(1e-12).log10(), gaussians }
+    }
+}
