@@ -221,7 +221,9 @@ fn another_shape_or_an_empty_array_is_named() {
             let empty = changed(source, &folder, |n, shape, data| {
                 if n == key {
                     data.clear();
-                    shape.first_mut().map_or_else(|| (), |first| *first = 0);
+                    if let Some(first) = shape.first_mut() {
+                        *first = 0;
+                    }
                     if shape.is_empty() {
                         shape.push(0);
                     }
