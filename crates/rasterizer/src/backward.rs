@@ -179,7 +179,9 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
         let d_alpha = simd.sub_f32s(simd.mul_f32s(c.transmittance, shade), hidden);
         let free = simd.less_than_f32s(simd.mul_f32s(self.opacity, c.falloff), simd.splat_f32s(MAX_ALPHA));
         let d_alpha = simd.select_f32s(simd.and_m32s(c.counts, free), d_alpha, zero);
-        let d_opacity = simd.mul_f32s(d_alpha, c.falloff);
+        // Far from the splat the exponential's polynomial overflows: 0 times that would be NaN.
+        let falloff = simd.select_f32s(c.counts, c.falloff, zero);
+        let d_opacity = simd.mul_f32s(d_alpha, falloff);
         // With respect to the exponent: alpha = o exp(-sigma).
         let d_exponent = simd.mul_f32s(d_opacity, self.opacity);
         let (ex, ey) = (simd.mul_f32s(d_exponent, c.dx), simd.mul_f32s(d_exponent, c.dy));
