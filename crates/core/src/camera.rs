@@ -93,7 +93,11 @@ impl Camera {
     const RIGID_TOLERANCE: f64 = 1e-3;
 
     /// `camera_from_world` is a 4x4 rigid transform with OpenCV axes (metres).
-    pub fn new(intrinsics: Intrinsics, camera_from_world: DMat4, size: ImageSize) -> Result<Self, CameraError> {
+    pub fn new(
+        intrinsics: Intrinsics,
+        camera_from_world: DMat4,
+        size: ImageSize,
+    ) -> Result<Self, CameraError> {
         let Intrinsics { fx, fy, cx, cy } = intrinsics;
         let finite = [fx, fy, cx, cy].iter().all(|v| v.is_finite()) && camera_from_world.is_finite();
         if !finite {

@@ -115,6 +115,7 @@ impl Gaussians {
     }
 
     /// The Gaussians at `indices`, in that order.
+    #[must_use]
     pub fn select(&self, indices: &[usize]) -> Self {
         let mut out = Self::empty(self.sh_degree);
         for &i in indices {

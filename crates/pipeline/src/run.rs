@@ -137,7 +137,7 @@ impl<'a> Job<'a> {
             }
             record.seconds.load = Some(start.elapsed().as_secs_f64());
             let trained = self.train_all(&training, console)?;
-            self.split(trained.gaussians, trained.sky, &views, &training)?
+            self.split(&trained.gaussians, trained.sky, &views, &training)?
         };
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         self.finish(frame, layers, record)
@@ -152,20 +152,20 @@ impl<'a> Job<'a> {
         let extent = camera_extent(views);
         let seed = self.config().seed;
         Ok(train_first_frame(&self.config().first_frame, views, initial, sky, extent, seed, &mut |p| {
-            bar.show(p)
+            bar.show(p);
         }))
     }
 
     fn split(
         &self,
-        all: Gaussians,
+        all: &Gaussians,
         sky: SkyCube,
         views: &[TrainingView],
         training: &[TrainingView],
     ) -> Result<Layers> {
         let (cameras, masks) = cameras_and_masks(training);
         let marking = self.config().marking;
-        let moving = dynamic_split(&positions(&all), &cameras, &masks, marking.dilation, marking.slack)?;
+        let moving = dynamic_split(&positions(all), &cameras, &masks, marking.dilation, marking.slack)?;
         let indices = |keep: bool| (0..all.len()).filter(|&i| moving[i] == keep).collect::<Vec<_>>();
         let gaussians = all.select(&indices(true));
         if gaussians.is_empty() {
@@ -244,7 +244,7 @@ impl<'a> Job<'a> {
                 let background = &config.background;
                 let mut train = || {
                     train_static(background, views, &sky_start, static_layer, seed, &mut |p| {
-                        static_bar.show(p)
+                        static_bar.show(p);
                     });
                 };
                 let static_s = timed(&mut train);

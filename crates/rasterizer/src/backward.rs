@@ -45,7 +45,11 @@ fn differentiate_tiles(view: &View, tape: &mut RenderTape, upstream: &PixelGradi
 }
 
 /// Runs `f(tile, its slice of values)` in parallel without allocating: halves the tile range recursively.
-pub(crate) fn for_each_tile_slice<T: Send>(starts: &[u32], values: &mut [T], f: &(impl Fn(usize, &mut [T]) + Sync)) {
+pub(crate) fn for_each_tile_slice<T: Send>(
+    starts: &[u32],
+    values: &mut [T],
+    f: &(impl Fn(usize, &mut [T]) + Sync),
+) {
     fn recurse<T: Send>(
         starts: &[u32],
         first: usize,

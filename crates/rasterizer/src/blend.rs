@@ -143,7 +143,8 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
         let y = origin[1] as f32 + 0.5 - splat.mean[1];
         let rows = RowRange::new(splat, y);
         let [a, b, c] = splat.conic;
-        let (half_a, b_, opacity) = (simd.splat_f32s(0.5 * a), simd.splat_f32s(b), simd.splat_f32s(splat.opacity));
+        let (half_a, b_, opacity) =
+            (simd.splat_f32s(0.5 * a), simd.splat_f32s(b), simd.splat_f32s(splat.opacity));
         visitor.begin(simd, splat);
         for row in rows.first..rows.end {
             let dy = y + row as f32;

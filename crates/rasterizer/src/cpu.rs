@@ -77,7 +77,8 @@ fn concatenate(tape: &mut RenderTape) {
     for chunk in &tape.chunks {
         let first_span = tape.spans.len() as u32;
         tape.spans.extend_from_slice(&chunk.spans);
-        tape.splats.extend(chunk.splats.iter().map(|&s| Splat { spans: (s.spans.0 + first_span, s.spans.1), ..s }));
+        tape.splats
+            .extend(chunk.splats.iter().map(|&s| Splat { spans: (s.spans.0 + first_span, s.spans.1), ..s }));
     }
 }
 

@@ -55,7 +55,13 @@ impl CpuRasterizer {
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len() / width];
             let planes: Vec<TilePlane> = channels.iter().map(|c| gather(size, *grid, tile, c)).collect();
-            arch.dispatch(SumTile { origin: tile_origin(tile, *grid), splats, slots, planes: &planes, entries });
+            arch.dispatch(SumTile {
+                origin: tile_origin(tile, *grid),
+                splats,
+                slots,
+                planes: &planes,
+                entries,
+            });
         });
         out.collect(gaussians.len(), channels.len(), tape);
     }
@@ -89,7 +95,8 @@ impl CpuRasterizer {
                 let through = behind.transmittance.0[local];
                 out.transmittance[pixel] = front.transmittance.0[local];
                 out.front.set_pixel(pixel, [0, 1, 2].map(|c| front.rgb[c].0[local]));
-                out.behind.set_pixel(pixel, [0, 1, 2].map(|c| behind.rgb[c].0[local] + through * background[c]));
+                out.behind
+                    .set_pixel(pixel, [0, 1, 2].map(|c| behind.rgb[c].0[local] + through * background[c]));
             });
         }
     }

@@ -87,7 +87,12 @@ impl RenderTape {
 }
 
 /// Calls `visit(pixel index in the image, pixel index in the tile)` for the pixels of a tile inside the image.
-pub(crate) fn for_each_pixel(size: ImageSize, grid: TileGrid, tile: usize, mut visit: impl FnMut(usize, usize)) {
+pub(crate) fn for_each_pixel(
+    size: ImageSize,
+    grid: TileGrid,
+    tile: usize,
+    mut visit: impl FnMut(usize, usize),
+) {
     let (x0, y0) = (tile % grid.columns * TILE, tile / grid.columns * TILE);
     for y in 0..TILE.min(size.height - y0) {
         for x in 0..TILE.min(size.width - x0) {

@@ -89,10 +89,12 @@ pub(crate) fn cover(
     for row in first_row..=last_row {
         let top = (row as f32 * tile + 0.5 - splat.mean[1]).max(-half_height);
         let bottom = (row as f32 * tile + tile - 0.5 - splat.mean[1]).min(half_height);
-        let (at_right, at_left) = (right_tip.clamp(top, bottom.max(top)), (-right_tip).clamp(top, bottom.max(top)));
+        let (at_right, at_left) =
+            (right_tip.clamp(top, bottom.max(top)), (-right_tip).clamp(top, bottom.max(top)));
         let ((cr, wr), (cl, wl)) = (edge(at_right), edge(at_left));
         let first = clamp_tile(splat.mean[0] + cl - wl - 0.5 - 0.01, grid.columns as f32).max(0);
-        let last = clamp_tile(splat.mean[0] + cr + wr - 0.5 + 0.01, grid.columns as f32).min(grid.columns as i32 - 1);
+        let last = clamp_tile(splat.mean[0] + cr + wr - 0.5 + 0.01, grid.columns as f32)
+            .min(grid.columns as i32 - 1);
         if first <= last {
             let span = Span { row: row as u32, first: first as u32, end: last as u32 + 1 };
             if mask.is_none_or(|m| m.any(span)) {
@@ -127,7 +129,13 @@ impl TileLists {
     }
 
     /// Sorts by depth (ties by index) and deals the splats to their tiles.
-    pub(crate) fn build(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+    pub(crate) fn build(
+        &mut self,
+        splats: &[Splat],
+        spans: &[Span],
+        grid: TileGrid,
+        mask: Option<&TileMask>,
+    ) {
         self.order.clear();
         self.order.extend(splats.iter().enumerate().map(|(slot, s)| (s.depth.to_bits(), slot as u32)));
         radix_sort(&mut self.order, &mut self.scratch);

@@ -37,7 +37,13 @@ impl CpuRasterizer {
             .map(|tile| {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
                 let mut best = vec![(-1, 0.0); AREA * count];
-                arch.dispatch(TopTile { origin: tile_origin(tile, grid), splats, slots, count, best: &mut best });
+                arch.dispatch(TopTile {
+                    origin: tile_origin(tile, grid),
+                    splats,
+                    slots,
+                    count,
+                    best: &mut best,
+                });
                 best
             })
             .collect();
@@ -46,7 +52,8 @@ impl CpuRasterizer {
         for (tile, best) in tiles.iter().enumerate() {
             for_each_pixel(size, grid, tile, |pixel, local| {
                 for k in 0..count {
-                    (out.indices[pixel * count + k], out.weights[pixel * count + k]) = best[local * count + k];
+                    (out.indices[pixel * count + k], out.weights[pixel * count + k]) =
+                        best[local * count + k];
                 }
             });
         }

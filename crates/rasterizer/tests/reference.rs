@@ -3,8 +3,8 @@
 use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer, RenderOptions,
-    RenderTape, View,
+    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
+    RenderOptions, RenderTape, View,
 };
 use glam::DMat4;
 use std::path::{Path, PathBuf};

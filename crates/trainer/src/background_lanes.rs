@@ -6,8 +6,8 @@ use crate::view::{Progress, Running, TrainingView};
 use crate::{Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer, RenderOptions,
-    RenderTape, View,
+    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
+    RenderOptions, RenderTape, View,
 };
 use serde::{Deserialize, Serialize};
 
@@ -67,7 +67,8 @@ pub fn train_static(
         sh0: config.sh0_rate,
         sh_rest: config.sh_rest_rate,
     };
-    let (mut tape, mut loss, mut gradients) = (RenderTape::default(), PhotometricLoss::new(), Gradients::default());
+    let (mut tape, mut loss, mut gradients) =
+        (RenderTape::default(), PhotometricLoss::new(), Gradients::default());
     let mut pixel_gradient = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
     let backgrounds: Vec<PlanarImage> = views.iter().map(|v| render_sky(sky, v)).collect();
     let mut adam = Adam::new(layer.len(), layer.sh_degree());
@@ -96,11 +97,18 @@ fn render_sky(sky: &SkyCube, view: &TrainingView) -> PlanarImage {
 }
 
 /// Finetunes the sky through the transmittance that `layer` leaves; the layer is rendered once a view.
-pub fn train_sky(config: &BackgroundLanesConfig, views: &[TrainingView], layer: &Gaussians, sky: &mut SkyCube, seed: u64) {
+pub fn train_sky(
+    config: &BackgroundLanesConfig,
+    views: &[TrainingView],
+    layer: &Gaussians,
+    sky: &mut SkyCube,
+    seed: u64,
+) {
     if config.sky_iterations == 0 {
         return;
     }
-    let cached: Vec<SkyTarget> = views.iter().map(|v| SkyTarget::new(v, layer, sky, config.mask_dilation)).collect();
+    let cached: Vec<SkyTarget> =
+        views.iter().map(|v| SkyTarget::new(v, layer, sky, config.mask_dilation)).collect();
     let mut adam = AdamVec::new(sky.texels.len(), 3);
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     let mut rendered = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
@@ -131,7 +139,8 @@ impl SkyTarget {
     fn new(view: &TrainingView, layer: &Gaussians, sky: &SkyCube, dilation: usize) -> Self {
         let mut tape = RenderTape::default();
         let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, &mut tape);
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+            .render(layer, &frame, &mut tape);
         let mut remainder = PlanarImage::from(&view.image);
         remainder.data_mut().iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
         let region = outside(view, dilation);

@@ -9,8 +9,8 @@ use crate::view::{Progress, Running, TrainingView};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer, RenderOptions,
-    RenderTape, SplitLayers, TileDepths, TileMask, View,
+    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
+    RenderOptions, RenderTape, SplitLayers, TileDepths, TileMask, View,
 };
 use serde::{Deserialize, Serialize};
 

@@ -6,8 +6,8 @@ use crate::view::{Progress, Running, TrainingView};
 use crate::{Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, Update};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer, RenderOptions,
-    RenderTape, View,
+    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
+    RenderOptions, RenderTape, View,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -150,8 +150,7 @@ impl<'a> Training<'a> {
     fn step(&mut self, iteration: usize, index: usize) {
         let view = &self.views[index];
         let degree = iteration * 10 / self.config.iterations.max(1);
-        let rasterizer =
-            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(degree) });
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(degree) });
         self.background.reset(view.camera.size());
         self.sky.render(&self.sky_views[index], &mut self.background);
         let frame =
