@@ -27,6 +27,10 @@ pub enum Command {
     Check(CheckArgs),
     /// Reconstruct a capture, frame by frame
     Run(RunArgs),
+    /// Render a finished run: a camera, or a circle around the moving objects
+    Render(RenderArgs),
+    /// Measure a finished run again
+    Eval(EvalArgs),
     /// Print the default configuration
     Config,
     /// Run one stage on numpy arrays
@@ -163,7 +167,7 @@ pub struct RunArgs {
 pub struct RenderArgs {
     /// Output folder of the run
     pub run: PathBuf,
-    /// Frame; all frames of the run when left out
+    /// Frame; the last finished one when left out
     #[arg(long, value_name = "N")]
     pub frame: Option<usize>,
     /// Camera of the capture, by name
@@ -275,6 +279,14 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             start_log(args.log);
             let report = crate::run::run(&crate::request::from_args(&args)?)?;
             println!("{}", report.display());
+        }
+        Command::Render(args) => {
+            start_log(args.log);
+            crate::render::render(&args)?;
+        }
+        Command::Eval(args) => {
+            start_log(args.log);
+            crate::eval::eval(&args)?;
         }
         Command::Config => crate::config::print_default()?,
         Command::Stage(args) => {

@@ -1,0 +1,74 @@
+//! `ffgs eval`: measures a finished run again.
+
+use crate::cli::EvalArgs;
+use crate::record::{FrameRecord, ViewMetrics, publish, read_json, write_json};
+use crate::render::{FinishedRun, progress};
+use crate::scoring::score;
+use anyhow::{Result, bail};
+use ffgs_dataset::Split;
+
+/// Renders and measures the test views of every finished frame, and writes metrics and report again.
+pub fn eval(args: &EvalArgs) -> Result<()> {
+    let run = FinishedRun::open(&args.run)?;
+    let (capture, folder) = (&run.capture, &run.folder);
+    if capture.views(Split::Test).is_empty() {
+        bail!("{} has no test views to measure", capture.root().display());
+    }
+    let bar = progress(args.log.quiet, "frames", run.frames.len());
+    let mut records = Vec::new();
+    for &frame in &run.frames {
+        let mut record: FrameRecord = read_json(&folder.record(frame))?;
+        record.views = score(capture, &run.layers(frame)?, frame, &folder.frame(frame))?;
+        write_json(&folder.record(frame), &record)?;
+        records.push(record);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let truth = |camera: &str, frame: usize| {
+        let view = capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
+        capture.image_path(Split::Test, view, frame).unwrap_or_default()
+    };
+    let title = format!("fastflowgs: {}", run.manifest.capture);
+    print!("{}", table(&records));
+    publish(folder, &title, run.manifest.config.to_toml()?, run.manifest.facts(), records, truth)?;
+    Ok(())
+}
+
+/// One row a frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
+fn table(records: &[FrameRecord]) -> String {
+    let mut text = format!("{:>10}  {:>8}  {:>8}  {:>7}\n", "frame", "PSNR", "MPSNR", "SSIM");
+    for record in records {
+        text += &row(&record.frame.to_string(), record.views.iter());
+    }
+    text += &row("mean", records.iter().flat_map(|r| &r.views));
+    if records.iter().any(|r| r.frame > 0) {
+        text += &row("mean >= 1", records.iter().filter(|r| r.frame > 0).flat_map(|r| &r.views));
+    }
+    text
+}
+
+fn row<'a>(name: &str, views: impl Iterator<Item = &'a ViewMetrics> + Clone) -> String {
+    let mean = |of: fn(&ViewMetrics) -> Option<f64>, digits: usize| {
+        let values: Vec<f64> = views.clone().filter_map(of).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        if values.is_empty() { "-".to_owned() } else { format!("{mean:.digits$}") }
+    };
+    let (psnr, mpsnr, ssim) = (mean(|v| Some(v.psnr), 2), mean(|v| v.mpsnr, 2), mean(|v| Some(v.ssim), 4));
+    format!("{name:>10}  {psnr:>8}  {mpsnr:>8}  {ssim:>7}\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_has_frames_and_means() {
+        let view = |psnr, mpsnr| ViewMetrics { psnr, mpsnr, ssim: 0.5, ..ViewMetrics::default() };
+        let of = |frame, views| FrameRecord { frame, views, ..FrameRecord::default() };
+        let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![view(30.0, Some(10.0))])]);
+        let words: Vec<Vec<&str>> = text.lines().map(|l| l.split_whitespace().collect()).collect();
+        assert_eq!(words[1], ["0", "20.00", "-", "0.5000"]);
+        assert_eq!(words[3], ["mean", "25.00", "10.00", "0.5000"]);
+        assert_eq!(words[4], ["mean", ">=", "1", "30.00", "10.00", "0.5000"]);
+    }
+}

@@ -1,0 +1,239 @@
+//! `ffgs render`: pictures of a finished run.
+
+use crate::cli::RenderArgs;
+use crate::manifest::Manifest;
+use crate::motion::positions;
+use crate::record::{RunFolder, read_json};
+use crate::scoring::{Layers, render as render_layers, write_png};
+use crate::state;
+use anyhow::{Context, Result, bail};
+use ffgs_core::{Camera, ImageRgb8};
+use ffgs_dataset::{Capture, Split};
+use glam::{DMat3, DMat4, DVec3};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// Views of an orbit: two seconds of video.
+const ORBIT_VIEWS: usize = 60;
+/// Distance of the orbit, as a multiple of the median distance of the cameras.
+const ORBIT_DISTANCE: f64 = 1.5;
+/// Bounds of the orbit's radius in radii of the moving objects: outside them, and still in sight.
+const ORBIT_BOUNDS: [f64; 2] = [2.0, 20.0];
+
+/// A run with at least one finished frame, and its capture.
+pub(crate) struct FinishedRun {
+    /// Output folder.
+    pub folder: RunFolder,
+    /// What was run.
+    pub manifest: Manifest,
+    /// What it was run on.
+    pub capture: Capture,
+    /// Finished frames, ascending.
+    pub frames: Vec<usize>,
+}
+
+impl FinishedRun {
+    /// Opens the run in `path`.
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let folder = RunFolder(path.to_owned());
+        if !folder.manifest().exists() {
+            bail!("{} is no output folder of ffgs run: it has no run.json", path.display());
+        }
+        let manifest: Manifest = read_json(&folder.manifest())?;
+        let frames = finished_frames(&folder);
+        if frames.is_empty() {
+            bail!("{} has no finished frame; finish one with ffgs run --resume", path.display());
+        }
+        let at = &manifest.capture_path;
+        if !at.is_dir() {
+            bail!(
+                "the capture of this run is not at {} any more; move it back, or set capture_path in {}",
+                at.display(),
+                folder.manifest().display()
+            );
+        }
+        let capture = Capture::open(at)?;
+        Ok(Self { folder, manifest, capture, frames })
+    }
+
+    /// Reads the layers of a frame.
+    pub(crate) fn layers(&self, frame: usize) -> Result<Layers> {
+        let path = self.folder.state(frame);
+        state::load(&path).with_context(|| format!("cannot use {}", path.display()))
+    }
+
+    /// The frame asked for, or the last one.
+    fn choose(&self, frame: Option<usize>) -> Result<usize> {
+        match frame.or_else(|| self.frames.last().copied()) {
+            Some(frame) if self.frames.contains(&frame) => Ok(frame),
+            _ => bail!("--frame: not finished; this run has the frames {:?}", self.frames),
+        }
+    }
+}
+
+fn finished_frames(folder: &RunFolder) -> Vec<usize> {
+    let entries = std::fs::read_dir(folder.0.join("frames")).into_iter().flatten().flatten();
+    let numbers = entries.filter_map(|e| e.file_name().to_str()?.parse().ok());
+    let mut frames: Vec<usize> = numbers.filter(|&f| folder.state(f).exists()).collect();
+    frames.sort_unstable();
+    frames
+}
+
+/// A bar on the error stream, hidden when `quiet` or when it is no terminal.
+pub(crate) fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
+    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let bar = ProgressBar::with_draw_target(Some(count as u64), target).with_prefix(what);
+    let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar
+}
+
+/// Renders a camera or an orbit of one frame into PNGs, an orbit into an mp4 as well.
+pub fn render(args: &RenderArgs) -> Result<()> {
+    let run = FinishedRun::open(&args.run)?;
+    let frame = run.choose(args.frame)?;
+    let layers = run.layers(frame)?;
+    let stem = format!("orbit_{frame:06}");
+    let views = match (&args.camera, args.orbit) {
+        (Some(name), false) => {
+            vec![(format!("{name}_{frame:06}.png"), named_camera(&run.capture, name, frame)?)]
+        }
+        (None, true) => {
+            let cameras = orbit(&run.capture, &layers, frame)?.into_iter().enumerate();
+            cameras.map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera)).collect()
+        }
+        _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
+    };
+    let bar = progress(args.log.quiet, "views", views.len());
+    for (name, camera) in &views {
+        write_png(&args.output.join(name), &ImageRgb8::from(&render_layers(&layers, camera)))?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    println!("{}", args.output.display());
+    if args.orbit { write_video(&args.output, &stem) } else { Ok(()) }
+}
+
+/// The pose of a camera at a frame, whatever its split.
+fn named_camera(capture: &Capture, name: &str, frame: usize) -> Result<Camera> {
+    for split in Split::ALL {
+        if let Some(view) = capture.views(split).iter().position(|v| v.name == name) {
+            // Views of the init split have one pose.
+            let frame = if split == Split::Init { 0 } else { frame };
+            return Ok(capture.camera(split, view, frame)?);
+        }
+    }
+    let names = Split::ALL.iter().flat_map(|&s| capture.views(s)).map(|v| v.name.as_str());
+    bail!("--camera {name}: the capture has {}", names.collect::<Vec<_>>().join(", "))
+}
+
+/// Median; 0 of nothing.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Cameras on a circle around the moving objects, at the height of the capture's cameras.
+fn orbit(capture: &Capture, layers: &Layers, frame: usize) -> Result<Vec<Camera>> {
+    let moving = positions(&layers.dynamic.gaussians);
+    if moving.is_empty() {
+        bail!("frame {frame} has no moving Gaussian to circle; choose a --camera");
+    }
+    let mut cameras = Vec::new();
+    for split in [Split::Test, Split::Train] {
+        for view in 0..capture.views(split).len() {
+            cameras.push(capture.camera(split, view, frame)?);
+        }
+    }
+    let lens = cameras.first().context("the capture has no camera")?;
+    let target = DVec3::from_array([0, 1, 2].map(|a| median(moving.iter().map(|p| p[a]))));
+    circle(&cameras, target, median(moving.iter().map(|p| p.distance(target))))
+        .into_iter()
+        .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
+        .collect()
+}
+
+/// Poses (camera from world) that look at `target`, an object of radius `extent` (m).
+fn circle(cameras: &[Camera], target: DVec3, extent: f64) -> Vec<DMat4> {
+    let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
+    let [nearest, farthest] = ORBIT_BOUNDS.map(|b| b * extent.max(1e-3));
+    let distance = median(cameras.iter().map(|c| c.center().distance(target)));
+    let radius = (ORBIT_DISTANCE * distance).clamp(nearest, farthest);
+    let height = median(cameras.iter().map(|c| (c.center() - target).dot(up))).clamp(-radius, radius);
+    let (east, north) = up.any_orthonormal_pair();
+    let pose = |v: usize| {
+        let (sin, cos) = (TAU * v as f64 / ORBIT_VIEWS as f64).sin_cos();
+        let eye = target + radius * (cos * east + sin * north) + height * up;
+        let forward = (target - eye).normalize();
+        let right = forward.cross(up).normalize();
+        let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = (-(rotation * eye)).extend(1.0);
+        pose
+    };
+    (0..ORBIT_VIEWS).map(pose).collect()
+}
+
+/// Joins the pictures of an orbit into an mp4 when there is an ffmpeg; without one the pictures remain.
+fn write_video(folder: &Path, stem: &str) -> Result<()> {
+    let part = format!("{stem}.mp4.{}.part", std::process::id());
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.current_dir(folder).stdin(Stdio::null());
+    ffmpeg.args(["-y", "-loglevel", "error", "-framerate", "30", "-i", &format!("{stem}_%03d.png")]);
+    // 4:2:0 wants even sizes.
+    ffmpeg.args(["-frames:v", &ORBIT_VIEWS.to_string(), "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]);
+    ffmpeg.args(["-c:v", "libx264", "-pix_fmt", "yuv420p", "-f", "mp4", &part]);
+    let output = match ffmpeg.output() {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            tracing::info!("no ffmpeg on PATH: pictures only, no mp4");
+            return Ok(());
+        }
+        output => output.context("cannot start ffmpeg")?,
+    };
+    let (part, video) = (folder.join(part), folder.join(format!("{stem}.mp4")));
+    if !output.status.success() {
+        // It may never have been created.
+        let _ = std::fs::remove_file(&part);
+        let reason = String::from_utf8_lossy(&output.stderr);
+        bail!("the pictures are written, but ffmpeg made no mp4 of them: {}", reason.trim());
+    }
+    std::fs::rename(&part, &video).with_context(|| format!("cannot write {}", video.display()))?;
+    println!("{}", video.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{ImageSize, Intrinsics};
+
+    #[test]
+    fn an_orbit_looks_at_its_target_with_the_cameras_up() {
+        let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 };
+        let size = ImageSize { width: 64, height: 48 };
+        // At (0, -8, 2), forward +y, up +z.
+        let rotation = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y).transpose();
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = (-(rotation * DVec3::new(0.0, -8.0, 2.0))).extend(1.0);
+        let camera = Camera::new(lens, pose, size).unwrap();
+        let poses = circle(&[camera], DVec3::ZERO, 1.0);
+        assert_eq!(poses.len(), ORBIT_VIEWS);
+        for pose in poses {
+            let camera = Camera::new(lens, pose, size).unwrap();
+            let seen = camera.project(DVec3::ZERO).unwrap().pixel;
+            assert!((seen - glam::DVec2::new(32.0, 24.0)).length() < 1e-9);
+            assert!((camera.center().z - 2.0).abs() < 1e-9);
+            assert!(camera.project(DVec3::Z).unwrap().pixel.y < 24.0);
+        }
+    }
+
+    #[test]
+    fn a_folder_without_a_run_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = FinishedRun::open(folder.path()).err().unwrap().to_string();
+        assert!(error.contains("run.json"), "{error}");
+    }
+}
