@@ -38,18 +38,19 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
 fn table(records: &[FrameRecord]) -> String {
     let mut text = format!("{:>10}  {:>8}  {:>8}  {:>7}\n", "frame", "PSNR", "MPSNR", "SSIM");
     for record in records {
-        text += &row(&record.frame.to_string(), record.views.iter());
+        text += &row(&record.frame.to_string(), &record.views.iter().collect::<Vec<_>>());
     }
-    text += &row("mean", records.iter().flat_map(|r| &r.views));
+    text += &row("mean", &records.iter().flat_map(|r| &r.views).collect::<Vec<_>>());
     if records.iter().any(|r| r.frame > 0) {
-        text += &row("mean >= 1", records.iter().filter(|r| r.frame > 0).flat_map(|r| &r.views));
+        let later = records.iter().filter(|r| r.frame > 0).flat_map(|r| &r.views);
+        text += &row("mean >= 1", &later.collect::<Vec<_>>());
     }
     text
 }
 
-fn row<'a>(name: &str, views: impl Iterator<Item = &'a ViewMetrics> + Clone) -> String {
+fn row(name: &str, views: &[&ViewMetrics]) -> String {
     let mean = |of: fn(&ViewMetrics) -> Option<f64>, digits: usize| {
-        let values: Vec<f64> = views.clone().filter_map(of).collect();
+        let values: Vec<f64> = views.iter().filter_map(|v| of(v)).collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         if values.is_empty() { "-".to_owned() } else { format!("{mean:.digits$}") }
     };
