@@ -45,11 +45,11 @@ pub struct FirstFrameConfig {
 impl Default for FirstFrameConfig {
     fn default() -> Self {
         Self {
-            iterations: 3000,
-            sh_degree: 2,
-            position_rate: 4e-5,
-            position_rate_end: 4e-7,
-            scale_rate: 5e-3,
+            iterations: 2000,
+            sh_degree: 3,
+            position_rate: 2e-4,
+            position_rate_end: 2e-6,
+            scale_rate: 1.5e-2,
             opacity_rate: 3e-2,
             densify_every: 200,
             densify_span: [0.1, 0.6],
