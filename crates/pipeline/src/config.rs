@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use ffgs_fusion::{DensifyConfig, FusionConfig};
-use ffgs_trainer::{BackgroundLanesConfig, DynamicLaneConfig, FirstFrameConfig};
+use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
 use serde::{Deserialize, Serialize};
@@ -35,7 +35,7 @@ pub struct Config {
     /// Finetuning of the dynamic layer.
     pub dynamic: DynamicLaneConfig,
     /// Finetuning of the static layer and the sky.
-    pub background: BackgroundLanesConfig,
+    pub background: BackgroundConfig,
 }
 
 impl Default for Config {
@@ -52,7 +52,7 @@ impl Default for Config {
             fusion: FusionConfig::default(),
             densification: DensifyConfig::default(),
             dynamic: DynamicLaneConfig::default(),
-            background: BackgroundLanesConfig::default(),
+            background: BackgroundConfig::default(),
         }
     }
 }

@@ -4,6 +4,7 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::run::RunRequest;
 use anyhow::Result;
+use ffgs_trainer::StaticMethod;
 
 /// Merges the configuration file (or the defaults) with the options, which win.
 pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
@@ -11,8 +12,10 @@ pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
     config.seed = args.seed.unwrap_or(config.seed);
     config.first_frame.iterations = args.first_iterations.unwrap_or(config.first_frame.iterations);
     config.dynamic.iterations = args.iterations.unwrap_or(config.dynamic.iterations);
-    config.background.static_iterations =
-        args.static_iterations.unwrap_or(config.background.static_iterations);
+    if let Some(steps) = args.static_iterations {
+        config.background.static_method = StaticMethod::Steps;
+        config.background.static_iterations = steps;
+    }
     Ok(RunRequest {
         capture: args.capture.clone(),
         out: args.out.clone(),

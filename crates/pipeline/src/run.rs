@@ -16,8 +16,8 @@ use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{
-    INITIAL_OPACITY, SkyCube, Surroundings, TrainingView, from_points, train_dynamic, train_first_frame,
-    train_sky, train_static,
+    INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points, train_dynamic, train_first_frame,
+    train_sky,
 };
 use std::ops::Range;
 use std::path::PathBuf;
@@ -52,6 +52,7 @@ pub fn run(request: &RunRequest) -> Result<PathBuf> {
     let mut console = Console::new(request.quiet, job.frames.clone());
     let mut records = Vec::new();
     let mut layers: Option<Layers> = None;
+    let mut static_lane = StaticLane::default();
     for frame in job.frames.clone() {
         if request.resume && job.folder.state(frame).exists() {
             records.push(read_json(&job.folder.record(frame))?);
@@ -61,7 +62,7 @@ pub fn run(request: &RunRequest) -> Result<PathBuf> {
         console.begin_frame(frame);
         let (next, record) = match layers.take() {
             None => job.first_frame(frame, &mut console)?,
-            Some(previous) => job.next_frame(frame, previous, &console)?,
+            Some(previous) => job.next_frame(frame, previous, &mut static_lane, &console)?,
         };
         console.end_frame(&record);
         records.push(record);
@@ -184,6 +185,7 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         mut layers: Layers,
+        static_lane: &mut StaticLane,
         console: &Console,
     ) -> Result<(Layers, FrameRecord)> {
         let start = Instant::now();
@@ -207,7 +209,7 @@ impl<'a> Job<'a> {
         record.skips.clone_from(&motion.skips);
         record.warnings.clone_from(&motion.warnings);
         self.write_pictures(frame, &layers.dynamic, &motion, &now)?;
-        self.finetune(frame, &mut layers, &now, console, &mut record);
+        self.finetune(frame, &mut layers, static_lane, &now, console, &mut record);
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         self.finish(frame, layers, record)
     }
@@ -217,6 +219,7 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         layers: &mut Layers,
+        static_lane: &mut StaticLane,
         views: &[TrainingView],
         console: &Console,
         record: &mut FrameRecord,
@@ -227,7 +230,7 @@ impl<'a> Job<'a> {
         let around = Surroundings { static_layer: &static_start, sky: &sky_start };
         let Layers { static_layer, dynamic, sky } = layers;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
-        let static_bar = console.lane("static", config.background.static_iterations);
+        let static_bar = console.lane("static", config.background.static_passes());
         let timed = |work: &mut (dyn FnMut() + Send)| {
             let start = Instant::now();
             work();
@@ -243,7 +246,7 @@ impl<'a> Job<'a> {
             || {
                 let background = &config.background;
                 let mut train = || {
-                    train_static(background, views, &sky_start, static_layer, seed, &mut |p| {
+                    static_lane.train(background, views, &sky_start, static_layer, seed, &mut |p| {
                         static_bar.show(p);
                     });
                 };

@@ -38,6 +38,7 @@ pub use contract::{Background, DifferentiableRasterizer, Rasterizer, RenderOptio
 pub use cpu::CpuRasterizer;
 pub use footprint::{FootprintSums, SplitLayers, TileDepths};
 pub use gradients::{Gradients, PixelGradients};
+pub use spherical_harmonics::basis as sh_basis;
 pub use tape::RenderTape;
 pub use tiles::{TILE, TileMask};
 pub use top_contributors::TopContributors;

@@ -9,7 +9,7 @@ const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_33, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
 /// Basis values in direction `d` (unit); entries beyond `degree` are zero.
-pub(crate) fn basis(degree: usize, d: Vec3) -> [f32; 16] {
+pub fn basis(degree: usize, d: Vec3) -> [f32; 16] {
     let Vec3 { x, y, z } = d;
     let mut b = [0.0; 16];
     b[0] = C0;

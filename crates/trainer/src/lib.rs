@@ -3,7 +3,7 @@
 //! Everything here gives the same bits for any number of rayon threads.
 
 mod adam;
-mod background_lanes;
+mod background;
 mod densify;
 mod dynamic_lane;
 mod first_frame;
@@ -12,14 +12,18 @@ mod loss;
 mod schedule;
 mod simd;
 mod sky;
+mod sky_lane;
+mod static_lane;
 mod view;
 
 pub use adam::{Adam, AdamVec, LearningRates, Update};
-pub use background_lanes::{BackgroundLanesConfig, train_sky, train_static};
+pub use background::{BackgroundConfig, StaticMethod};
 pub use densify::{DensityConfig, DensityControl, DensityPlan, IndexMap, ViewStatistics, reset_opacities};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, robust_extent, train_dynamic};
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};
 pub use sky::{SkyCube, SkyObservation, SkyView};
+pub use sky_lane::train_sky;
+pub use static_lane::StaticLane;
 pub use view::{Progress, TrainingView};

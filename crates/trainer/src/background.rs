@@ -1,0 +1,91 @@
+//! What the static lane and the sky lane share. Both look only at pixels outside the dilated foreground mask, so that
+//! they need nothing from the dynamic lane of the same frame.
+
+use crate::view::TrainingView;
+use crate::{SkyCube, SkyView};
+use ffgs_core::{Mask, PlanarImage};
+use serde::{Deserialize, Serialize};
+
+/// How the static lane finds its colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StaticMethod {
+    /// One linear least-squares problem a frame: with frozen geometry the image is linear in the SH coefficients.
+    Solve,
+    /// Steps of Adam, as in the paper.
+    Steps,
+}
+
+/// How the static layer's colours and the sky follow the light each frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BackgroundConfig {
+    /// How the static layer's colours are found.
+    pub static_method: StaticMethod,
+    /// Iterations of conjugate gradients a frame, each over all views; method `solve`.
+    pub solve_iterations: usize,
+    /// SH degree up to which the solve changes colours.
+    pub solve_degree: usize,
+    /// Expected error of a pixel (0..1), against which a change of colour must pay off.
+    pub solve_noise: f32,
+    /// Expected change of SH coefficient 0 in a frame.
+    pub solve_sh0_change: f32,
+    /// Expected change of the other SH coefficients in a frame.
+    pub solve_sh_rest_change: f32,
+    /// Contributors kept a pixel; method `solve`.
+    pub solve_contributors: usize,
+    /// Steps a frame, one view each; method `steps`.
+    pub static_iterations: usize,
+    /// Rate of SH coefficient 0 in these steps.
+    pub sh0_rate: f32,
+    /// Rate of the other SH coefficients.
+    pub sh_rest_rate: f32,
+    /// Steps a frame of the sky lane.
+    pub sky_iterations: usize,
+    /// Rate of the sky's texels.
+    pub sky_rate: f32,
+    /// Pixels by which the mask is grown before it is left out.
+    pub mask_dilation: usize,
+}
+
+impl Default for BackgroundConfig {
+    fn default() -> Self {
+        Self {
+            static_method: StaticMethod::Solve,
+            solve_iterations: 8,
+            solve_degree: 3,
+            solve_noise: 0.05,
+            solve_sh0_change: 0.3,
+            solve_sh_rest_change: 0.05,
+            solve_contributors: 16,
+            static_iterations: 500,
+            sh0_rate: 1e-3,
+            sh_rest_rate: 5e-5,
+            sky_iterations: 50,
+            sky_rate: 1e-3,
+            mask_dilation: 3,
+        }
+    }
+}
+
+impl BackgroundConfig {
+    /// Iterations of the chosen method.
+    pub fn static_passes(&self) -> usize {
+        match self.static_method {
+            StaticMethod::Solve => self.solve_iterations,
+            StaticMethod::Steps => self.static_iterations,
+        }
+    }
+}
+
+pub(crate) fn outside(view: &TrainingView, dilation: usize) -> Mask {
+    let grown = view.mask.dilated(dilation);
+    let inverse = grown.data().iter().map(|&v| u8::from(v == 0)).collect();
+    Mask::new(grown.size(), inverse).unwrap_or_else(|| Mask::filled(grown.size(), true))
+}
+
+pub(crate) fn render_sky(sky: &SkyCube, view: &TrainingView) -> PlanarImage {
+    let mut out = PlanarImage::zeros(view.camera.size());
+    sky.render(&SkyView::new(&view.camera, sky.face_size()), &mut out);
+    out
+}

@@ -1,0 +1,58 @@
+use ffgs_core::{Camera, Gaussians, sh_coefficients};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
+use glam::Vec3;
+
+/// Who colours which pixel of one view, and by how much. It holds as long as camera, geometry and opacities stay.
+#[derive(Clone, Debug)]
+pub(super) struct ViewTrace {
+    pub(super) camera: Camera,
+    /// Gaussians that colour a pixel, ascending.
+    pub(super) seen: Vec<u32>,
+    /// (seen, coefficients) SH basis in the direction of each.
+    pub(super) basis: Vec<f32>,
+    /// (pixels + 1) where each pixel's contributions start.
+    starts: Vec<u32>,
+    /// Place in `seen` and weight `alpha T`.
+    contributions: Vec<(u32, f32)>,
+}
+
+impl ViewTrace {
+    /// The `count` heaviest contributors of every pixel, with a basis of the given degree.
+    pub(super) fn new(camera: &Camera, layer: &Gaussians, count: usize, degree: usize) -> Self {
+        let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) });
+        let top = rasterizer.top_contributors(layer, &view, count, &mut RenderTape::default());
+        let mut place = vec![u32::MAX; layer.len()];
+        top.indices.iter().filter(|i| **i >= 0).for_each(|&i| place[i as usize] = 0);
+        let seen: Vec<u32> = (0..layer.len() as u32).filter(|&i| place[i as usize] == 0).collect();
+        seen.iter().enumerate().for_each(|(at, &i)| place[i as usize] = at as u32);
+        let mut starts = vec![0];
+        let mut contributions = Vec::new();
+        for (indices, weights) in top.indices.chunks(count.max(1)).zip(top.weights.chunks(count.max(1))) {
+            let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0);
+            contributions.extend(present.map(|(&i, &w)| (place[i as usize], w)));
+            starts.push(contributions.len() as u32);
+        }
+        contributions.shrink_to_fit();
+        let basis = basis(camera, layer, &seen, degree);
+        Self { camera: *camera, seen, basis, starts, contributions }
+    }
+
+    /// Contributions to a pixel: place in `seen` and weight.
+    #[inline]
+    pub(super) fn of(&self, pixel: usize) -> &[(u32, f32)] {
+        &self.contributions[self.starts[pixel] as usize..self.starts[pixel + 1] as usize]
+    }
+
+    /// Number of pixels.
+    pub(super) fn pixels(&self) -> usize {
+        self.starts.len() - 1
+    }
+}
+
+fn basis(camera: &Camera, layer: &Gaussians, seen: &[u32], degree: usize) -> Vec<f32> {
+    let degree = degree.min(layer.sh_degree());
+    let center = camera.center().as_vec3();
+    let of = |&i: &u32| sh_basis(degree, (Vec3::from(layer.means[i as usize]) - center).normalize_or_zero());
+    seen.iter().flat_map(|i| of(i).into_iter().take(sh_coefficients(degree))).collect()
+}
