@@ -63,7 +63,7 @@ impl Default for BackgroundConfig {
             sh_rest_rate: 5e-5,
             sky_iterations: 50,
             sky_rate: 1e-3,
-            mask_dilation: 3,
+            mask_dilation: 1,
         }
     }
 }

@@ -44,10 +44,10 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 300,
-            position_rate: 1.6e-5,
-            position_rate_end: 1.6e-6,
+            position_rate: 3e-4,
+            position_rate_end: 1e-5,
             quat_rate: 1e-3,
-            scale_rate: 1e-3,
+            scale_rate: 5e-3,
             opacity_rate: 1e-2,
             sh0_rate: 2.5e-3,
             sh_rest_rate: 1.25e-4,
