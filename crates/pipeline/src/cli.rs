@@ -126,7 +126,7 @@ pub struct RunArgs {
     /// Iterations of the dynamic layer a frame
     #[arg(long, value_name = "N")]
     pub iterations: Option<usize>,
-    /// Iterations of the static layer's colours a frame
+    /// Take this many steps of Adam a frame for the static layer's colours, instead of one linear solve (0 = leave them)
     #[arg(long, value_name = "N")]
     pub static_iterations: Option<usize>,
     /// Iterations of the first frame
@@ -288,7 +288,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             start_log(args.log);
             crate::eval::eval(&args)?;
         }
-        Command::Config => crate::config::print_default()?,
+        Command::Config => crate::config_text::print_default()?,
         Command::Stage(args) => {
             start_log(args.log);
             stage::run(args.name, &args.input, &args.output)?;

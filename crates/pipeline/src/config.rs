@@ -109,16 +109,6 @@ impl Config {
     }
 }
 
-/// Prints the default configuration.
-pub fn print_default() -> Result<()> {
-    println!("# Every key with its default; pass a file with any of them as `ffgs run --config FILE`.");
-    println!(
-        "# Units: px, m, seconds; rates are Adam step sizes. The meaning of each key: docs/CONFIGURATION.md."
-    );
-    print!("{}", Config::default().to_toml()?);
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

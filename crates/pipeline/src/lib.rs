@@ -3,6 +3,7 @@
 pub mod check;
 pub mod cli;
 pub mod config;
+mod config_text;
 mod console;
 pub mod eval;
 mod frame;

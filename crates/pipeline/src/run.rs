@@ -16,8 +16,8 @@ use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{
-    INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points, train_dynamic, train_first_frame,
-    train_sky,
+    INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points, train_dynamic,
+    train_first_frame, train_sky,
 };
 use std::ops::Range;
 use std::path::PathBuf;

@@ -32,8 +32,8 @@ pub struct BackgroundConfig {
     pub solve_sh0_change: f32,
     /// Expected change of the other SH coefficients in a frame.
     pub solve_sh_rest_change: f32,
-    /// Contributors kept a pixel; method `solve`.
-    pub solve_contributors: usize,
+    /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then `steps` are taken.
+    pub solve_memory_mib: usize,
     /// Steps a frame, one view each; method `steps`.
     pub static_iterations: usize,
     /// Rate of SH coefficient 0 in these steps.
@@ -57,7 +57,7 @@ impl Default for BackgroundConfig {
             solve_noise: 0.05,
             solve_sh0_change: 0.3,
             solve_sh_rest_change: 0.05,
-            solve_contributors: 16,
+            solve_memory_mib: 4096,
             static_iterations: 500,
             sh0_rate: 1e-3,
             sh_rest_rate: 5e-5,

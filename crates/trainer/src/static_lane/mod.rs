@@ -4,11 +4,23 @@ mod solve;
 mod steps;
 mod trace;
 
+use crate::SkyCube;
 use crate::background::{BackgroundConfig, StaticMethod};
 use crate::view::{Progress, TrainingView};
-use crate::SkyCube;
 use ffgs_core::Gaussians;
 use trace::ViewTrace;
+
+/// Contributors kept a pixel where memory allows; more gain nothing (docs/adr/0007).
+const MOST_CONTRIBUTORS: usize = 16;
+/// With fewer the model is too coarse to be solved.
+const FEWEST_CONTRIBUTORS: usize = 4;
+
+/// Contributors a pixel that the memory allows.
+fn contributors(config: &BackgroundConfig, views: &[TrainingView]) -> usize {
+    let pixels: usize = views.iter().map(|v| v.camera.size().pixels()).sum();
+    let bytes = pixels.max(1) * size_of::<trace::Contribution>();
+    (config.solve_memory_mib << 20).checked_div(bytes).unwrap_or(0).min(MOST_CONTRIBUTORS)
+}
 
 /// The static lane of a run. It keeps what it learns of the views: a fixed camera is traced once.
 #[derive(Clone, Debug, Default)]
@@ -30,23 +42,23 @@ impl StaticLane {
         if layer.is_empty() || views.is_empty() {
             return;
         }
-        match config.static_method {
-            StaticMethod::Steps => steps::train(config, views, sky, layer, seed, report),
-            StaticMethod::Solve => {
-                self.trace(config, views, layer);
-                solve::solve(config, &self.traces, views, sky, layer, report);
-            }
+        let contributors = contributors(config, views);
+        if config.static_method == StaticMethod::Solve && contributors >= FEWEST_CONTRIBUTORS {
+            self.trace(contributors, config.solve_degree, views, layer);
+            solve::solve(config, &self.traces, views, sky, layer, report);
+        } else {
+            steps::train(config, views, sky, layer, seed, report);
         }
     }
 
     /// Traces the views whose camera is new.
-    fn trace(&mut self, config: &BackgroundConfig, views: &[TrainingView], layer: &Gaussians) {
+    fn trace(&mut self, count: usize, degree: usize, views: &[TrainingView], layer: &Gaussians) {
         self.traces.truncate(views.len());
         for (v, view) in views.iter().enumerate() {
             if self.traces.get(v).is_some_and(|t| t.camera == view.camera) {
                 continue;
             }
-            let trace = ViewTrace::new(&view.camera, layer, config.solve_contributors, config.solve_degree);
+            let trace = ViewTrace::new(&view.camera, layer, count, degree);
             if v < self.traces.len() { self.traces[v] = trace } else { self.traces.push(trace) }
         }
     }

@@ -2,9 +2,9 @@
 //! sum of weight * (basis . SH), so the best colours are found by preconditioned conjugate gradients over all views
 //! at once instead of hundreds of steps of one view each.
 //!
-//! Minimised over the change x of the coefficients: sum over pixels outside the masks of (A x - r)^2 / noise^2
-//! + sum of (x / expected change)^2, with r the photograph minus the exact render. The second term keeps colours
-//! that few pixels see where they are.
+//! What is minimised over the change x of the coefficients, with r the photograph minus the exact render, is
+//! `|A x - r|^2 / noise^2` over the pixels outside the masks, plus `(x / expected change)^2` over the coefficients: that
+//! keeps colours which few pixels see where they are.
 
 use super::trace::ViewTrace;
 use crate::SkyCube;
@@ -188,8 +188,7 @@ impl<'a> System<'a> {
         let zero = vec![Vec3::ZERO; self.answers.len()];
         let right = self.transpose(&zero, |v, pixel, _| self.residuals[v][pixel]);
         let diagonal = self.diagonal();
-        let precondition =
-            |r: &[Vec3]| r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect::<Vec<_>>();
+        let precondition = |r: &[Vec3]| r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect::<Vec<_>>();
         let mut squares: f64 =
             self.residuals.iter().map(|v| v.iter().map(|r| f64::from(r.length_squared())).sum::<f64>()).sum();
         let mut x = vec![Vec3::ZERO; right.len()];
@@ -250,4 +249,107 @@ fn answers(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
         Vec3::select(colour.cmpge(Vec3::ZERO), Vec3::ONE, Vec3::ZERO)
     };
     trace.seen.iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::from_points;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+
+    const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
+
+    /// A wall of discs before three cameras, photographed in its own colours.
+    fn wall() -> (Gaussians, SkyCube, Vec<TrainingView>) {
+        let points: Vec<[f32; 3]> =
+            (0..600).map(|i| [(i % 30) as f32 * 0.1 - 1.45, (i / 30) as f32 * 0.1 - 0.95, 4.0]).collect();
+        let colour = |i: usize| [0.3 + 0.4 * ((i * 7 % 11) as f32 / 11.0), 0.5, 0.2 + 0.05 * (i % 9) as f32];
+        let colours: Vec<_> = (0..points.len()).map(colour).collect();
+        let layer = from_points(&points, &colours, 1, 0.9);
+        let sky = SkyCube::filled(8, [0.2, 0.4, 0.6]);
+        let intrinsics = Intrinsics { fx: 40.0, fy: 40.0, cx: 24.0, cy: 16.0 };
+        let view = |x: f64| {
+            let pose = glam::DMat4::from_translation(glam::DVec3::new(x, 0.0, 0.0));
+            let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
+            let mask = Mask::filled(SIZE, false);
+            let blank = ImageRgb8::new(SIZE, vec![0; SIZE.pixels() * 3]).unwrap();
+            let mut view = TrainingView { camera, image: blank, mask };
+            view.image = photograph(&view, &layer, &sky);
+            view
+        };
+        let views = [-0.5, 0.0, 0.6].map(view).to_vec();
+        (layer, sky, views)
+    }
+
+    fn photograph(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> ImageRgb8 {
+        // Black photograph: the residual is minus the render.
+        let shown = residual(view, layer, sky, 0);
+        let bytes = shown.iter().flat_map(|r| (*r * -255.0).to_array().map(|v| v.round() as u8)).collect();
+        ImageRgb8::new(SIZE, bytes).unwrap()
+    }
+
+    fn squared_error(views: &[TrainingView], layer: &Gaussians, sky: &SkyCube) -> f32 {
+        let of =
+            |v: &TrainingView| residual(v, layer, sky, 0).iter().map(|r| r.length_squared()).sum::<f32>();
+        views.iter().map(of).sum()
+    }
+
+    fn solved(views: &[TrainingView], layer: &Gaussians, sky: &SkyCube) -> Gaussians {
+        let mut out = layer.clone();
+        let config =
+            BackgroundConfig { solve_iterations: 40, solve_noise: 0.005, ..BackgroundConfig::default() };
+        crate::StaticLane::default().train(&config, views, sky, &mut out, 1, &mut |_| {});
+        out
+    }
+
+    #[test]
+    fn a_change_of_light_is_found_and_geometry_stays() {
+        let (layer, sky, views) = wall();
+        let mut dimmed = layer.clone();
+        dimmed.sh.iter_mut().for_each(|c| *c = c.map(|v| v * 0.6 - 0.1));
+        let before = squared_error(&views, &dimmed, &sky);
+        let found = solved(&views, &dimmed, &sky);
+        let after = squared_error(&views, &found, &sky);
+        assert!(after < 5e-3 * before, "{before} to {after}");
+        assert_eq!(
+            (&found.means, &found.log_scales, &found.opacity_logits),
+            (&dimmed.means, &dimmed.log_scales, &dimmed.opacity_logits)
+        );
+    }
+
+    #[test]
+    fn what_lies_under_the_masks_is_not_learnt() {
+        let (layer, sky, mut views) = wall();
+        for view in &mut views {
+            view.mask = Mask::filled(SIZE, true);
+            view.image = ImageRgb8::new(SIZE, vec![255; SIZE.pixels() * 3]).unwrap();
+        }
+        assert_eq!(solved(&views, &layer, &sky), layer);
+    }
+
+    #[test]
+    fn colours_below_the_clamp_do_not_break_it() {
+        let (mut layer, sky, views) = wall();
+        layer.sh.iter_mut().for_each(|c| *c = [-9.0; 3]);
+        let found = solved(&views, &layer, &sky);
+        assert!(found.is_finite());
+        assert!(squared_error(&views, &found, &sky) <= squared_error(&views, &layer, &sky));
+    }
+
+    #[test]
+    fn the_diagonal_is_that_of_the_normal_equations() {
+        let (layer, _, views) = wall();
+        let config = BackgroundConfig::default();
+        let traces: Vec<ViewTrace> = views.iter().map(|v| ViewTrace::new(&v.camera, &layer, 16, 1)).collect();
+        let bright: Vec<Vec<Vec3>> =
+            views.iter().map(|v| vec![Vec3::ONE; v.camera.size().pixels()]).collect();
+        let system = System::new(&config, &traces, &bright, &layer);
+        let diagonal = system.diagonal();
+        for entry in [0, 1, 4 * 300, 4 * 301 + 2, 4 * 599 + 3] {
+            let mut unit = vec![Vec3::ZERO; diagonal.len()];
+            unit[entry] = Vec3::ONE;
+            let column = system.apply(&unit)[entry];
+            assert!((column - diagonal[entry]).length() < 1e-4 * diagonal[entry].length(), "{entry}");
+        }
+    }
 }

@@ -2,6 +2,9 @@ use ffgs_core::{Camera, Gaussians, sh_coefficients};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
 use glam::Vec3;
 
+/// Place in `seen` and weight `alpha T`.
+pub(super) type Contribution = (u32, f32);
+
 /// Who colours which pixel of one view, and by how much. It holds as long as camera, geometry and opacities stay.
 #[derive(Clone, Debug)]
 pub(super) struct ViewTrace {
@@ -12,8 +15,7 @@ pub(super) struct ViewTrace {
     pub(super) basis: Vec<f32>,
     /// (pixels + 1) where each pixel's contributions start.
     starts: Vec<u32>,
-    /// Place in `seen` and weight `alpha T`.
-    contributions: Vec<(u32, f32)>,
+    contributions: Vec<Contribution>,
 }
 
 impl ViewTrace {
@@ -40,7 +42,7 @@ impl ViewTrace {
 
     /// Contributions to a pixel: place in `seen` and weight.
     #[inline]
-    pub(super) fn of(&self, pixel: usize) -> &[(u32, f32)] {
+    pub(super) fn of(&self, pixel: usize) -> &[Contribution] {
         &self.contributions[self.starts[pixel] as usize..self.starts[pixel + 1] as usize]
     }
 
