@@ -45,7 +45,7 @@ pub struct FirstFrameConfig {
 impl Default for FirstFrameConfig {
     fn default() -> Self {
         Self {
-            iterations: 2000,
+            iterations: 3000,
             sh_degree: 3,
             position_rate: 2e-4,
             position_rate_end: 2e-6,
