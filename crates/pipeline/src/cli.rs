@@ -114,7 +114,7 @@ pub struct RunArgs {
     /// Folder of the capture; `ffgs check` tells whether it is usable
     pub capture: PathBuf,
     /// Output folder; new, or that of a run of the same capture with --resume
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     pub out: PathBuf,
     /// Go on with the frames that are not finished; the result is that of a run that was never stopped
     #[arg(long)]
@@ -160,8 +160,8 @@ pub struct RunArgs {
 #[command(
     long_about = "Renders a finished run: one camera of the capture, or a path around the moving objects. Writes \
         PNGs, and for a path an mp4 as well when an ffmpeg is found.",
-    after_help = "Examples:\n  ffgs render out/mini --frame 3 --camera trackside_0 --output pictures\n  \
-        ffgs render out/mini --frame 3 --orbit --output orbit",
+    after_help = "Examples:\n  ffgs render out/mini --frame 3 --camera trk009\n  \
+        ffgs render out/mini --frame 3 --orbit --out orbit",
     group = clap::ArgGroup::new("view").required(true).args(["camera", "orbit"])
 )]
 pub struct RenderArgs {
@@ -176,9 +176,9 @@ pub struct RenderArgs {
     /// A circle around the moving objects
     #[arg(long)]
     pub orbit: bool,
-    /// Folder for the pictures
-    #[arg(long, value_name = "DIR")]
-    pub output: PathBuf,
+    /// Folder for the pictures [default: RUN/renders]
+    #[arg(long, alias = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Where to compute
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,

@@ -17,10 +17,10 @@ use std::process::{Command, Stdio};
 
 /// Views of an orbit: two seconds of video.
 const ORBIT_VIEWS: usize = 60;
-/// Distance of the orbit, as a multiple of the median distance of the cameras.
-const ORBIT_DISTANCE: f64 = 1.5;
-/// Bounds of the orbit's radius in radii of the moving objects: outside them, and still in sight.
-const ORBIT_BOUNDS: [f64; 2] = [2.0, 20.0];
+/// Room left around the circled object: its outline is about two median distances from its middle.
+const ORBIT_MARGIN: f64 = 2.5;
+/// Least elevation of an orbit, as a share of its radius.
+const ORBIT_ELEVATION: f64 = 0.3;
 
 /// A run with at least one finished frame, and its capture.
 pub(crate) struct FinishedRun {
@@ -106,14 +106,15 @@ pub fn render(args: &RenderArgs) -> Result<()> {
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
     };
+    let out = args.out.clone().unwrap_or_else(|| args.run.join("renders"));
     let bar = progress(args.log.quiet, "views", views.len());
     for (name, camera) in &views {
-        write_png(&args.output.join(name), &ImageRgb8::from(&render_layers(&layers, camera)))?;
+        write_png(&out.join(name), &ImageRgb8::from(&render_layers(&layers, camera)))?;
         bar.inc(1);
     }
     bar.finish_and_clear();
-    println!("{}", args.output.display());
-    if args.orbit { write_video(&args.output, &stem) } else { Ok(()) }
+    println!("{}", out.display());
+    if args.orbit { write_video(&out, &stem) } else { Ok(()) }
 }
 
 /// The pose of a camera at a frame, whatever its split.
@@ -136,7 +137,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Cameras on a circle around the moving objects, at the height of the capture's cameras.
+/// Cameras on a circle around one moving object.
 fn orbit(capture: &Capture, layers: &Layers, frame: usize) -> Result<Vec<Camera>> {
     let moving = positions(&layers.dynamic.gaussians);
     if moving.is_empty() {
@@ -149,20 +150,40 @@ fn orbit(capture: &Capture, layers: &Layers, frame: usize) -> Result<Vec<Camera>
         }
     }
     let lens = cameras.first().context("the capture has no camera")?;
-    let target = DVec3::from_array([0, 1, 2].map(|a| median(moving.iter().map(|p| p[a]))));
-    circle(&cameras, target, median(moving.iter().map(|p| p.distance(target))))
+    let (target, extent) = one_object(&moving);
+    circle(&cameras, target, extent)
         .into_iter()
         .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
         .collect()
 }
 
-/// Poses (camera from world) that look at `target`, an object of radius `extent` (m).
+/// Middle and median distance (m) of one object: among several, medians over what lies near the present middle
+/// settle on one.
+fn one_object(points: &[DVec3]) -> (DVec3, f64) {
+    let (mut near, mut middle, mut extent) = (points.to_vec(), DVec3::ZERO, 0.0);
+    for _ in 0..20 {
+        middle = DVec3::from_array([0, 1, 2].map(|a| median(near.iter().map(|p| p[a]))));
+        extent = median(near.iter().map(|p| p.distance(middle)));
+        let inside = points.iter().copied().filter(|p| p.distance(middle) <= 2.0 * extent);
+        let next: Vec<DVec3> = inside.collect();
+        if next.is_empty() || next == near {
+            break;
+        }
+        near = next;
+    }
+    (middle, extent)
+}
+
+/// Poses (camera from world) that look at `target`, an object of median radius `extent` (m).
 fn circle(cameras: &[Camera], target: DVec3, extent: f64) -> Vec<DMat4> {
     let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
-    let [nearest, farthest] = ORBIT_BOUNDS.map(|b| b * extent.max(1e-3));
-    let distance = median(cameras.iter().map(|c| c.center().distance(target)));
-    let radius = (ORBIT_DISTANCE * distance).clamp(nearest, farthest);
-    let height = median(cameras.iter().map(|c| (c.center() - target).dot(up))).clamp(-radius, radius);
+    // The object and its margin fill the longer side of the image.
+    let zoom = cameras
+        .first()
+        .map_or(1.0, |c| 2.0 * c.intrinsics().focal() / c.size().width.max(c.size().height) as f64);
+    let radius = ORBIT_MARGIN * extent.max(1e-3) * (1.0 + zoom);
+    let height = median(cameras.iter().map(|c| (c.center() - target).dot(up)));
+    let height = height.clamp(ORBIT_ELEVATION * radius, radius);
     let (east, north) = up.any_orthonormal_pair();
     let pose = |v: usize| {
         let (sin, cos) = (TAU * v as f64 / ORBIT_VIEWS as f64).sin_cos();
@@ -225,9 +246,21 @@ mod tests {
             let camera = Camera::new(lens, pose, size).unwrap();
             let seen = camera.project(DVec3::ZERO).unwrap().pixel;
             assert!((seen - glam::DVec2::new(32.0, 24.0)).length() < 1e-9);
-            assert!((camera.center().z - 2.0).abs() < 1e-9);
+            assert!((2.0 - 1e-9..6.0).contains(&camera.center().z));
             assert!(camera.project(DVec3::Z).unwrap().pixel.y < 24.0);
         }
+    }
+
+    #[test]
+    fn of_two_objects_one_is_circled() {
+        let ball = |center: DVec3| {
+            (0..200).map(move |i| center + DVec3::new((i as f64).sin(), (i as f64 * 1.7).cos(), 0.0))
+        };
+        let points: Vec<DVec3> =
+            ball(DVec3::ZERO).chain(ball(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
+        let (middle, extent) = one_object(&points);
+        assert!(middle.length() < 0.3 && extent < 1.5, "{middle} {extent}");
+        assert_eq!(one_object(&points[..1]), (points[0], 0.0));
     }
 
     #[test]
