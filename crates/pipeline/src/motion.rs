@@ -335,10 +335,12 @@ fn validate_positions(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut 
     Ok(())
 }
 
+/// With the masks grown as for marking: a splat's mean may lie beside the mask that its footprint touches.
 fn valid_positions(input: &MotionInput, means: &[DVec3]) -> Result<Vec<bool>> {
     let with_foreground = input.now.iter().filter(|v| v.mask.count() > 0);
+    let dilation = input.config.marking.dilation;
     let (cameras, masks): (Vec<Camera>, Vec<Mask>) =
-        with_foreground.map(|v| (v.camera, v.mask.clone())).unzip();
+        with_foreground.map(|v| (v.camera, v.mask.dilated(dilation))).unzip();
     let counts = count_views(means, &cameras, &masks)?;
     Ok(counts.into_iter().map(|c| validate(c, input.config.marking.slack)).collect())
 }
