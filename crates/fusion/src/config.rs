@@ -1,4 +1,5 @@
-use crate::structure::StructureConfig;
+use crate::groups::GroupsConfig;
+use crate::neighbourhoods::StructureConfig;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -65,8 +66,10 @@ pub enum Structure {
     /// Every Gaussian by itself (literal Algorithm 1).
     None,
     /// Robust rigid motion of the neighbourhood replaces the random walk as the prior.
-    #[default]
     RigidNeighbours,
+    /// Robust rigid motion of what moves together; those who leave it take that of their neighbourhood.
+    #[default]
+    RigidGroups,
 }
 
 /// Settings of [`crate::InformationFuser`]; [`FusionConfig::literal`] is Algorithm 1.
@@ -86,6 +89,10 @@ pub struct FusionConfig {
     pub structure: Structure,
     /// Settings of the neighbourhood motion.
     pub rigid: StructureConfig,
+    /// Settings of the rigid groups.
+    pub groups: GroupsConfig,
+    /// Share of the last position covariance that is still there after finetuning; only with structure.
+    pub carry: f64,
 }
 
 impl Default for FusionConfig {
@@ -97,6 +104,8 @@ impl Default for FusionConfig {
             correlation_inflation: 1.0,
             structure: Structure::default(),
             rigid: StructureConfig::default(),
+            groups: GroupsConfig::default(),
+            carry: 1.0,
         }
     }
 }

@@ -1,6 +1,8 @@
 use crate::config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
+use crate::evidence::{Evidence, robust_weight};
+use crate::groups::Group;
 use crate::process_noise::{median_displacement, per_group};
-use crate::structure::{StructurePrior, local_rigid_motion};
+use crate::structure::{Prior, Structured, structured};
 use ffgs_core::{EstimateStatus, Estimates};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -35,8 +37,12 @@ pub struct Fused {
     pub q: f64,
     /// Whether any tracker's estimate succeeded.
     pub measured: Vec<bool>,
-    /// Rotation of the neighbourhood from t-1 to t; the identity without structure.
+    /// Rotation of the group or neighbourhood from t-1 to t; the identity without structure.
     pub rotations: Vec<DQuat>,
+    /// What moves rigidly together; empty without structure.
+    pub groups: Vec<Group>,
+    /// Group of each Gaussian; `None` where it has none or left it.
+    pub group_of: Vec<Option<usize>>,
 }
 
 /// Combines the trackers' estimates with the temporal prior.
@@ -62,28 +68,39 @@ impl MotionFuser for InformationFuser {
         let predicted = predict(input, &self.config)?;
         let q = median_displacement(&predicted, input.estimates).unwrap_or(input.last_q).max(input.q_floor_m);
         let q_of = process_noise(input, &predicted, &self.config, q)?;
+        let evidence = Evidence::new(input.estimates);
         let structure = match self.config.structure {
             Structure::None => None,
-            Structure::RigidNeighbours => {
-                let (means, covariances, measured) = self.measurements(input, &predicted);
-                local_rigid_motion(input.prior_means, &means, &covariances, &measured, &self.config.rigid)?
-            }
+            _ => structured(input, &evidence, &self.config)?,
         };
         let states: Vec<State> = (0..predicted.len())
             .into_par_iter()
             .map(|i| match &structure {
-                None => self.update(input, i, random_walk(input, predicted[i], i, q_of[i]), 1.0),
-                Some(prior) => self.update(input, i, structured(input, prior, i), prior.inflation),
+                None => self.update(input, i, random_walk(input, predicted[i], i, q_of[i])),
+                Some(structure) => self.follow(input, &evidence, structure, i),
             })
             .collect();
-        let rotations = structure.map_or_else(|| vec![DQuat::IDENTITY; states.len()], |s| s.rotations);
         Ok(Fused {
             means: states.iter().map(|s| s.mean).collect(),
             covariances: states.iter().map(|s| s.covariance).collect(),
-            measured: states.iter().map(|s| s.measured).collect(),
+            measured: (0..states.len()).map(|i| evidence.measured(i)).collect(),
             q,
-            rotations,
+            ..layout(structure, states.len())
         })
+    }
+}
+
+/// Rotations and groups; means and the like are left empty.
+fn layout(structure: Option<Structured>, n: usize) -> Fused {
+    let Some(structure) = structure else {
+        return Fused { rotations: vec![DQuat::IDENTITY; n], group_of: vec![None; n], ..Fused::default() };
+    };
+    let group = |(prior, group): (&Prior, &Option<usize>)| if prior.left { None } else { *group };
+    Fused {
+        rotations: structure.priors.iter().map(|p| p.rotation).collect(),
+        group_of: structure.priors.iter().zip(&structure.groups.of).map(group).collect(),
+        groups: structure.groups.groups,
+        ..Fused::default()
     }
 }
 
@@ -91,22 +108,36 @@ impl MotionFuser for InformationFuser {
 struct State {
     mean: DVec3,
     covariance: DMat3,
-    measured: bool,
 }
 
 impl InformationFuser {
-    /// The trackers' estimates of every Gaussian combined without any prior.
-    fn measurements(&self, input: &FusionInput, predicted: &[DVec3]) -> (Vec<DVec3>, Vec<DMat3>, Vec<bool>) {
-        let mut out = (Vec::new(), Vec::new(), Vec::new());
-        for (i, &place) in predicted.iter().enumerate() {
-            let (information, vector) = self.information(input, i, place, 1.0, |_| true);
-            let covariance = symmetric_inverse(information);
-            let measured = information != DMat3::ZERO && covariance.is_finite();
-            out.0.push(if measured { place + covariance * vector } else { place });
-            out.1.push(if measured { covariance } else { DMat3::ZERO });
-            out.2.push(measured);
+    /// Update of one Gaussian from what its surroundings say. Errors of the place at t-1 are in prior and measurement
+    /// alike, so they are carried, not fused.
+    fn follow(&self, input: &FusionInput, evidence: &Evidence, structure: &Structured, i: usize) -> State {
+        let prior = structure.priors[i];
+        let scales = structure.scales(i);
+        let count = (0..scales.len()).filter(|&l| evidence.of(l, i).is_some()).count().max(1) as f64;
+        let shared = self.config.correlation_inflation * (1.0 + (count - 1.0) * structure.correlation);
+        let mut information = symmetric_inverse(prior.covariance);
+        let mut vector = DVec3::ZERO;
+        for (l, scale) in scales.iter().enumerate() {
+            let Some((mean, precision)) = evidence.of(l, i) else { continue };
+            let precision = precision * (scale * shared).recip();
+            let r = mean - prior.mean;
+            let expected = symmetric_inverse(precision) + prior.covariance;
+            let weight =
+                if prior.left { 1.0 } else { robust_weight(r.dot(symmetric_inverse(expected) * r)) };
+            information += precision * weight;
+            vector += precision * r * weight;
         }
-        out
+        let covariance = symmetric_inverse(information);
+        let mean = prior.mean + covariance * vector;
+        let carried = input.prior_covariances[i] * self.config.carry;
+        if mean.is_finite() && covariance.is_finite() {
+            State { mean, covariance: covariance + carried }
+        } else {
+            State { mean: prior.mean, covariance: prior.covariance + carried }
+        }
     }
 
     /// Sum of the trackers' information and of information times offset from `origin`.
@@ -115,10 +146,9 @@ impl InformationFuser {
         input: &FusionInput,
         i: usize,
         origin: DVec3,
-        inflation: f64,
         keep: impl Fn(usize) -> bool,
     ) -> (DMat3, DVec3) {
-        let scale = (inflation * self.config.correlation_inflation).recip();
+        let scale = self.config.correlation_inflation.recip();
         let (mut information, mut vector) = (DMat3::ZERO, DVec3::ZERO);
         for (l, estimate) in input.estimates.iter().enumerate() {
             if estimate.status[i] == EstimateStatus::Ok && keep(l) {
@@ -133,20 +163,20 @@ impl InformationFuser {
     }
 
     /// Kalman update of one Gaussian from `prior`.
-    fn update(&self, input: &FusionInput, i: usize, prior: State, inflation: f64) -> State {
+    fn update(&self, input: &FusionInput, i: usize, prior: State) -> State {
         let mut rejected = vec![false; if self.config.gate > 0.0 { input.estimates.len() } else { 0 }];
         loop {
             let keep = |l: usize| !rejected.get(l).copied().unwrap_or(false);
-            let (information, vector) = self.information(input, i, prior.mean, inflation, keep);
+            let (information, vector) = self.information(input, i, prior.mean, keep);
             if information == DMat3::ZERO {
-                return State { measured: false, ..prior };
+                return prior;
             }
             let covariance = symmetric_inverse(symmetric_inverse(prior.covariance) + information);
             let mean = prior.mean + covariance * vector;
             if !mean.is_finite() || !covariance.is_finite() {
-                return State { measured: false, ..prior };
+                return prior;
             }
-            let state = State { mean, covariance, measured: true };
+            let state = State { mean, covariance };
             let Some(worst) = self.worst_outside_gate(input, i, state, &rejected) else { return state };
             rejected[worst] = true;
         }
@@ -173,16 +203,7 @@ impl InformationFuser {
 
 /// `P + q^2 I` at the predicted place (Algorithm 1, line 28).
 fn random_walk(input: &FusionInput, place: DVec3, i: usize, q: f64) -> State {
-    State { mean: place, covariance: input.prior_covariances[i] + DMat3::IDENTITY * (q * q), measured: false }
-}
-
-/// The neighbourhood's motion carries the Gaussian; its own uncertainty adds to that of the motion.
-fn structured(input: &FusionInput, prior: &StructurePrior, i: usize) -> State {
-    State {
-        mean: prior.means[i],
-        covariance: input.prior_covariances[i] + prior.covariances[i],
-        measured: false,
-    }
+    State { mean: place, covariance: input.prior_covariances[i] + DMat3::IDENTITY * (q * q) }
 }
 
 fn predict(input: &FusionInput, config: &FusionConfig) -> Result<Vec<DVec3>, FusionError> {

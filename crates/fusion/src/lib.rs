@@ -26,9 +26,17 @@
 //! # Ok::<(), ffgs_fusion::FusionError>(())
 //! ```
 
+// Guards phrase the accepted case, so that NaN fails them.
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
+mod cells;
 mod config;
 mod densify;
+mod evidence;
 mod fuse;
+mod groups;
+mod motion_fit;
+mod neighbourhoods;
 mod process_noise;
 mod rigid;
 mod structure;
@@ -38,5 +46,6 @@ pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure}
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
 pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance};
 pub use rigid::{RigidMotion, fit_rigid};
-pub use structure::{StructureConfig, StructurePrior, local_rigid_motion};
+pub use groups::{Group, GroupsConfig};
+pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use validation::{ViewCounts, count_views, dynamic_split, second_chance, validate};

@@ -1,260 +1,251 @@
-use crate::config::FusionError;
+//! Where every Gaussian's surroundings say that it goes: the prior of the fusion, beyond the paper.
+
+use crate::config::{FusionConfig, FusionError, Structure};
+use crate::evidence::Evidence;
+use crate::fuse::{FusionInput, symmetric_inverse};
+use crate::groups::{Groups, discover};
+use crate::neighbourhoods::local_rigid_motion;
 use crate::process_noise::median;
-use crate::rigid::{RigidMotion, fit_rigid};
 use glam::{DMat3, DQuat, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::num::NonZero;
 
-/// Settings of the neighbourhood motion.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct StructureConfig {
-    /// Measured neighbours a motion is fitted to.
-    pub neighbours: usize,
-    /// Fewest measured Gaussians for which there is any structure.
-    pub min_measured: usize,
-    /// Most neighbourhoods fitted; Gaussians blend the nearest ones.
-    pub max_seeds: usize,
-    /// Neighbourhoods a Gaussian blends.
-    pub blend: usize,
-    /// Neighbours that share their error: 200 neighbours count as 200 / this many independent ones. Measured on two
-    /// simulated cars: 25 raises the error by a sixth and does not improve the calibration.
-    pub correlated: f64,
-    /// Squared Mahalanobis distance beyond which a Gaussian's own evidence contradicts its neighbourhood and widens
-    /// its prior; 11.3 is the 99 % point.
-    pub leave: f64,
+/// Prior of one Gaussian.
+#[derive(Clone, Copy, Debug)]
+pub struct Prior {
+    /// Predicted place (m).
+    pub mean: DVec3,
+    /// Covariance of the predicted motion (m^2), without that of the place at t-1.
+    pub covariance: DMat3,
+    /// Rotation of what it belongs to.
+    pub rotation: DQuat,
+    /// Row of [`Structured::scales`].
+    scales: usize,
+    /// Variance per axis by which parts of its group deviate from the group's motion (m^2).
+    spread: f64,
+    /// Whether it follows its own neighbourhood rather than a group.
+    pub left: bool,
 }
 
-impl Default for StructureConfig {
-    fn default() -> Self {
-        Self { neighbours: 200, min_measured: 16, max_seeds: 400, blend: 6, correlated: 10.0, leave: 11.3 }
+/// Priors of all Gaussians and what the residuals say of the trackers.
+pub struct Structured {
+    /// (N) priors.
+    pub priors: Vec<Prior>,
+    /// Rows of factors on the trackers' covariances.
+    scales: Vec<Vec<f64>>,
+    /// Correlation between the errors of two trackers, 0..1.
+    pub correlation: f64,
+    /// The groups.
+    pub groups: Groups,
+}
+
+impl Structured {
+    /// Factors on the trackers' covariances for a Gaussian.
+    pub fn scales(&self, i: usize) -> &[f64] {
+        &self.scales[self.priors[i].scales]
     }
 }
 
-/// What the neighbourhoods say of every Gaussian, columns of length N.
-#[derive(Clone, Debug)]
-pub struct StructurePrior {
-    /// Predicted places (m).
-    pub means: Vec<DVec3>,
-    /// Covariances of the predicted motion (m^2), without that of the place at t-1.
-    pub covariances: Vec<DMat3>,
-    /// Rotation of the neighbourhood from t-1 to t.
-    pub rotations: Vec<DQuat>,
-    /// Factor on the trackers' covariances learnt from how they scatter about the rigid motion, at least 1.
-    pub inflation: f64,
-}
-
-/// Robust rigid motion of every Gaussian's neighbourhood, fitted to the measured means; beyond the paper.
-///
-/// `previous` (N, m) at t-1, `means` and `covariances` (N) the trackers' combined measurement at t, valid where
-/// `measured`. `None` when too few are measured. Neighbourhoods of moving parts overlap, so each Gaussian weighs them
-/// by how well they explain its own and its nearest neighbours' measurements.
+/// Groups first; who contradicts them, or has none, takes the motion of its neighbourhood. `None` when too little was
+/// measured to say anything.
 ///
 /// # Errors
 /// [`FusionError::Index`] when the spatial index refuses the points.
-pub fn local_rigid_motion(
-    previous: &[DVec3],
-    means: &[DVec3],
-    covariances: &[DMat3],
-    measured: &[bool],
-    config: &StructureConfig,
-) -> Result<Option<StructurePrior>, FusionError> {
-    let donors: Vec<usize> = (0..previous.len()).filter(|&i| measured[i]).collect();
-    if donors.len() < config.min_measured.max(4) {
-        return Ok(None);
-    }
-    let cloud = Cloud::new(previous, means, covariances, donors)?;
-    let stride = cloud.donors.len().div_ceil(config.max_seeds.max(1));
-    let places: Vec<usize> = cloud.donors.iter().copied().step_by(stride.max(1)).collect();
-    let seeds: Vec<Seed> = places.par_iter().filter_map(|&i| cloud.seed(i, config)).collect();
-    if seeds.is_empty() {
-        return Ok(None);
-    }
-    let centres: Vec<[f64; 3]> = seeds.iter().map(|s| (s.motion.centre - cloud.origin).to_array()).collect();
-    let tree = tree(&centres)?;
-    let predictions: Vec<Prediction> =
-        (0..previous.len()).into_par_iter().map(|i| cloud.predict(i, &seeds, &tree, config)).collect();
-    let inflation = cloud.inflation(&predictions);
-    let covariance = |i: usize, p: &Prediction| {
-        let widened = if measured[i] { cloud.widening(i, p, inflation, config.leave) } else { 1.0 };
-        DMat3::from_diagonal(DVec3::splat(p.variance * widened))
+pub fn structured(
+    input: &FusionInput,
+    evidence: &Evidence,
+    config: &FusionConfig,
+) -> Result<Option<Structured>, FusionError> {
+    let previous = input.prior_means;
+    let groups = match config.structure {
+        Structure::RigidGroups => discover(previous, evidence, &config.groups),
+        _ => Groups { of: vec![None; previous.len()], ..Groups::default() },
     };
-    Ok(Some(StructurePrior {
-        means: predictions.iter().map(|p| p.place).collect(),
-        covariances: predictions.iter().enumerate().map(|(i, p)| covariance(i, p)).collect(),
-        rotations: predictions.iter().map(|p| p.rotation).collect(),
-        inflation,
-    }))
+    let scales: Vec<Vec<f64>> = groups.groups.iter().map(|g| g.scales.clone()).collect();
+    let by_group = |i: usize| {
+        let g = groups.of[i]?;
+        let group = &groups.groups[g];
+        let (mean, covariance) = group.predict(previous[i], &config.groups);
+        Some(Prior { mean, covariance, rotation: group.motion.rotation, scales: g, spread: group.spread, left: false })
+    };
+    let priors: Vec<Option<Prior>> = (0..previous.len()).into_par_iter().map(by_group).collect();
+    let leavers = Leavers { previous, evidence, priors: &priors, scales: &scales, leave: config.groups.leave };
+    let departures = leavers.find()?;
+    let correlation = correlation(evidence, &priors, &scales);
+    let priors: Vec<Option<Prior>> = priors.into_iter().zip(departures).map(|(p, d)| depart(p, d)).collect();
+    let mut out = Structured { priors: Vec::new(), scales, correlation, groups };
+    let Some(priors) = with_neighbourhoods(input, evidence, config, priors, &mut out.scales)? else {
+        return Ok(None);
+    };
+    out.priors = priors;
+    Ok(Some(out))
 }
 
-type Tree = ImmutableKdTree<f64, 3>;
-
-fn tree(points: &[[f64; 3]]) -> Result<Tree, FusionError> {
-    ImmutableKdTree::new_from_slice(points).map_err(|e| FusionError::Index(format!("{e:?}")))
+/// A prior moved by a departure.
+fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
+    let (prior, Some(departure)) = (prior?, departure) else { return prior };
+    let covariance = prior.covariance + DMat3::from_diagonal(DVec3::splat(departure.variance));
+    Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, ..prior })
 }
 
-fn nearest(tree: &Tree, place: DVec3, k: usize) -> Vec<usize> {
-    let k = NonZero::new(k.max(1)).unwrap_or(NonZero::<usize>::MIN);
-    let found = tree.query(&place.to_array()).nearest_n::<SquaredEuclidean<f64>>(k).execute();
-    found.iter().map(|n| n.item as usize).collect()
+/// Who has no group takes the motion of its neighbourhood; `None` when some have neither.
+fn with_neighbourhoods(
+    input: &FusionInput,
+    evidence: &Evidence,
+    config: &FusionConfig,
+    priors: Vec<Option<Prior>>,
+    scales: &mut Vec<Vec<f64>>,
+) -> Result<Option<Vec<Prior>>, FusionError> {
+    let wanted: Vec<bool> = priors.iter().map(Option::is_none).collect();
+    if !wanted.contains(&true) {
+        return Ok(priors.into_iter().collect());
+    }
+    let (previous, ones) = (input.prior_means, vec![1.0; evidence.trackers()]);
+    let combined: Vec<_> =
+        (0..previous.len()).into_par_iter().map(|i| evidence.combined(i, &ones)).collect();
+    let means: Vec<DVec3> = combined.iter().zip(previous).map(|(c, &p)| c.map_or(p, |c| c.0)).collect();
+    let covariances: Vec<DMat3> =
+        combined.iter().map(|c| c.map_or(DMat3::ZERO, |c| symmetric_inverse(c.1))).collect();
+    let measured: Vec<bool> = combined.iter().map(Option::is_some).collect();
+    let local =
+        local_rigid_motion(previous, &means, &covariances, &measured, &wanted, &config.rigid)?;
+    let Some(local) = local else { return Ok(None) };
+    let row = scales.len();
+    scales.push(vec![local.inflation; evidence.trackers()]);
+    let own = |i: usize| Prior {
+        mean: local.means[i],
+        covariance: local.covariances[i],
+        rotation: local.rotations[i],
+        scales: row,
+        spread: 0.0,
+        left: true,
+    };
+    let choose = |(i, prior): (usize, Option<Prior>)| prior.unwrap_or_else(|| own(i));
+    Ok(Some(priors.into_iter().enumerate().map(choose).collect()))
 }
 
-/// Measured Gaussians with a spatial index over their places at t-1, relative to `origin`.
-struct Cloud<'a> {
-    previous: &'a [DVec3],
-    means: &'a [DVec3],
-    covariances: &'a [DMat3],
-    donors: Vec<usize>,
-    origin: DVec3,
-    tree: Tree,
-}
-
-/// Rigid motion of a neighbourhood.
-struct Seed {
-    motion: RigidMotion,
-    /// Variance per axis of the measurements about the motion (m^2).
-    variance: f64,
-    /// Effective number of independent inliers.
-    effective: f64,
-    /// Mean squared distance of the inliers to the centre (m^2).
-    radius2: f64,
-}
-
-struct Prediction {
-    place: DVec3,
-    variance: f64,
-    rotation: DQuat,
-}
-
-/// Re-weighting rounds of the robust fit.
-const ROUNDS: usize = 10;
-/// Median length of a three-dimensional standard normal vector.
-const MEDIAN_LENGTH: f64 = 1.538;
-/// Median of a chi-squared variable with three degrees of freedom.
-const MEDIAN_CHI2: f64 = 2.366;
-/// Measured neighbours, the Gaussian included, that judge the neighbourhoods.
+/// Neighbours that judge whether a Gaussian's own evidence is more than an error of its trackers.
 const JUDGES: usize = 12;
 
-impl<'a> Cloud<'a> {
-    fn new(
-        previous: &'a [DVec3],
-        means: &'a [DVec3],
-        covariances: &'a [DMat3],
-        donors: Vec<usize>,
-    ) -> Result<Self, FusionError> {
-        let origin = previous[donors[0]];
-        let points: Vec<[f64; 3]> = donors.iter().map(|&i| (previous[i] - origin).to_array()).collect();
-        Ok(Self { previous, means, covariances, origin, tree: tree(&points)?, donors })
-    }
+/// Who leaves its group: its own evidence contradicts the group, and most of its neighbours' evidence is nearer to its
+/// deviation than to none.
+struct Leavers<'a> {
+    previous: &'a [DVec3],
+    evidence: &'a Evidence<'a>,
+    priors: &'a [Option<Prior>],
+    scales: &'a [Vec<f64>],
+    leave: f64,
+}
 
-    fn neighbours(&self, i: usize, k: usize) -> Vec<usize> {
-        let found = nearest(&self.tree, self.previous[i] - self.origin, k.min(self.donors.len()));
-        found.into_iter().map(|d| self.donors[d]).collect()
-    }
+/// Offset of a Gaussian's own evidence from its prior (m) with its information.
+type Offset = Option<(DVec3, DMat3)>;
 
-    /// Re-weighted Kabsch (Geman-McClure weights) from the median displacement.
-    fn seed(&self, i: usize, config: &StructureConfig) -> Option<Seed> {
-        let near = self.neighbours(i, config.neighbours);
-        let from: Vec<DVec3> = near.iter().map(|&j| self.previous[j]).collect();
-        let to: Vec<DVec3> = near.iter().map(|&j| self.means[j]).collect();
-        let base = self.base_weights(&near)?;
-        let axis =
-            |a: usize| median(&mut from.iter().zip(&to).map(|(f, t)| (*t - *f)[a]).collect::<Vec<_>>());
-        let step = DVec3::new(axis(0)?, axis(1)?, axis(2)?);
-        let mut motion = RigidMotion { centre: self.previous[i], rotation: DQuat::IDENTITY, step };
-        let (mut weights, mut scale) = (base.clone(), 0.0);
-        let mut inlier = vec![1.0; near.len()];
-        for _ in 0..ROUNDS {
-            let lengths: Vec<f64> =
-                from.iter().zip(&to).map(|(&f, &t)| (t - motion.apply(f)).length()).collect();
-            scale = (median(&mut lengths.clone())? / MEDIAN_LENGTH).max(1e-9);
-            for (k, r) in lengths.iter().enumerate() {
-                inlier[k] = (1.0 + (r / (3.0 * scale)).powi(2)).powi(-2);
-                weights[k] = base[k] * inlier[k];
-            }
-            motion = fit_rigid(&from, &to, &weights)?;
+/// How a Gaussian and those who side with it deviate from the group.
+#[derive(Clone, Copy)]
+struct Departure {
+    /// Deviation (m).
+    offset: DVec3,
+    /// Its variance per axis among them (m^2).
+    variance: f64,
+}
+
+impl Leavers<'_> {
+    /// (N) departures; `None` for those who stay.
+    fn find(&self) -> Result<Vec<Option<Departure>>, FusionError> {
+        let offsets: Vec<Offset> = (0..self.priors.len()).into_par_iter().map(|i| self.offset(i)).collect();
+        let suspects: Vec<bool> =
+            (0..offsets.len()).into_par_iter().map(|i| self.contradicts(i, offsets[i])).collect();
+        let measured: Vec<usize> = (0..offsets.len()).filter(|&i| offsets[i].is_some()).collect();
+        if !suspects.contains(&true) {
+            return Ok(vec![None; offsets.len()]);
         }
-        let total: f64 = weights.iter().sum();
-        let squares: f64 = weights.iter().map(|w| w * w).sum();
-        let radius2 =
-            from.iter().zip(&weights).map(|(&f, w)| w * (f - motion.centre).length_squared()).sum::<f64>();
-        let effective = (total * total / squares / config.correlated).max(1.0);
-        Some(Seed { motion, variance: scale * scale, effective, radius2: (radius2 / total).max(1e-12) })
-    }
-
-    /// Precise measurements count more, but none dominates.
-    fn base_weights(&self, near: &[usize]) -> Option<Vec<f64>> {
-        let traces: Vec<f64> = near.iter().map(|&j| trace(&self.covariances[j])).collect();
-        let typical = median(&mut traces.clone())?.max(1e-18);
-        Some(traces.iter().map(|t| typical / (typical + t)).collect())
-    }
-
-    /// Blends the nearest neighbourhoods that explain the measurements around Gaussian `i`.
-    fn predict(&self, i: usize, seeds: &[Seed], tree: &Tree, config: &StructureConfig) -> Prediction {
-        let place = self.previous[i];
-        let judges = self.neighbours(i, JUDGES);
-        let near: Vec<&Seed> = nearest(tree, place - self.origin, config.blend.clamp(1, seeds.len()))
-            .iter()
-            .map(|&s| &seeds[s])
-            .collect();
-        let misfit = |seed: &Seed| {
-            let lengths =
-                judges.iter().map(|&j| (self.means[j] - seed.motion.apply(self.previous[j])).length());
-            median(&mut lengths.collect::<Vec<_>>()).unwrap_or(0.0).max(1e-9)
+        let origin = self.previous[measured[0]];
+        let local = |i: usize| (self.previous[i] - origin).to_array();
+        let points: Vec<[f64; 3]> = measured.iter().map(|&i| local(i)).collect();
+        let tree: ImmutableKdTree<f64, 3> =
+            ImmutableKdTree::new_from_slice(&points).map_err(|e| FusionError::Index(format!("{e:?}")))?;
+        let count = NonZero::new((JUDGES + 1).min(points.len())).unwrap_or(NonZero::<usize>::MIN);
+        let departure = |i: usize| {
+            let (own, _) = offsets[i].filter(|_| suspects[i])?;
+            let near = tree.query(&local(i)).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+            let judges = near.iter().map(|n| measured[n.item as usize]).filter(|&j| j != i);
+            judge(own, judges.filter_map(|j| offsets[j]))
         };
-        let misfits: Vec<f64> = near.iter().map(|s| misfit(s)).collect();
-        let least = misfits.iter().copied().fold(f64::INFINITY, f64::min);
-        let weight = |k: usize| {
-            let leverage = 1.0 + (place - near[k].motion.centre).length_squared() / near[k].radius2;
-            (least / misfits[k]).powi(8) / (leverage * leverage)
-        };
-        let weights: Vec<f64> = (0..near.len()).map(weight).collect();
-        blend(place, &near, &weights)
+        Ok((0..offsets.len()).into_par_iter().map(departure).collect())
     }
 
-    /// How much the measurements scatter about the predictions, relative to what the trackers claim; at least 1.
-    fn inflation(&self, predictions: &[Prediction]) -> f64 {
-        let distance = |&i: &usize| {
-            let e = self.means[i] - predictions[i].place;
-            e.dot(self.covariances[i].inverse() * e)
-        };
-        let mut distances: Vec<f64> = self.donors.iter().map(distance).filter(|d| d.is_finite()).collect();
-        (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(1.0)
+    fn offset(&self, i: usize) -> Offset {
+        let prior = self.priors[i]?;
+        let (mean, information) = self.evidence.combined(i, &self.scales[prior.scales])?;
+        Some((mean - prior.mean, information))
     }
 
-    /// Factor on the prior's variance of a Gaussian whose own evidence contradicts it: it is free to leave.
-    fn widening(&self, i: usize, prediction: &Prediction, inflation: f64, leave: f64) -> f64 {
-        let e = self.means[i] - prediction.place;
-        let total = self.covariances[i] * inflation + DMat3::from_diagonal(DVec3::splat(prediction.variance));
-        let ratio = e.dot(total.inverse() * e) / leave;
-        if ratio > 1.0 { (ratio * ratio).min(1e12) } else { 1.0 }
+    /// Whether all trackers together contradict the group, and each of them alone.
+    fn contradicts(&self, i: usize, offset: Offset) -> bool {
+        let (Some(prior), Some((e, information))) = (self.priors[i], offset) else { return false };
+        let expected = prior.covariance + DMat3::from_diagonal(DVec3::splat(prior.spread));
+        let distance = |e: DVec3, information: DMat3| {
+            e.dot(symmetric_inverse(symmetric_inverse(information) + expected) * e)
+        };
+        let alone = |(l, scale): (usize, &f64)| {
+            let (mean, information) = self.evidence.of(l, i)?;
+            Some(distance(mean - prior.mean, information * scale.recip()))
+        };
+        let scales = &self.scales[prior.scales];
+        !(distance(e, information) <= self.leave)
+            && !scales.iter().enumerate().filter_map(alone).any(|d| d <= ALONE * self.leave)
     }
 }
 
-/// Weighted mean of the predictions; its variance is that of the fits plus their spread.
-fn blend(place: DVec3, seeds: &[&Seed], weights: &[f64]) -> Prediction {
-    let total: f64 = weights.iter().sum();
-    let mut mean = DVec3::ZERO;
-    let (mut rotation, mut variance) = (DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), 0.0);
-    for (seed, w) in seeds.iter().zip(weights) {
-        let w = w / total;
-        let leverage = 1.0 + 3.0 * (place - seed.motion.centre).length_squared() / seed.radius2;
-        mean += (seed.motion.apply(place) - place) * w;
-        rotation += seed.motion.rotation * w;
-        variance += w * seed.variance * leverage / seed.effective;
+/// Share of the limit that every tracker alone must exceed: 6.25, the 90 % point, of 11.3.
+const ALONE: f64 = 0.55;
+
+/// The departure of a Gaussian with deviation `own`, if more than half of its neighbours side with it.
+fn judge(own: DVec3, neighbours: impl Iterator<Item = (DVec3, DMat3)>) -> Option<Departure> {
+    let (mut siding, mut all) = (vec![own], 0);
+    for (offset, information) in neighbours {
+        let apart = offset - own;
+        all += 1;
+        if apart.dot(information * apart) < offset.dot(information * offset) {
+            siding.push(offset);
+        }
     }
-    let spread: f64 = (seeds.iter().zip(weights))
-        .map(|(s, w)| w / total * (s.motion.apply(place) - place - mean).length_squared() / 3.0)
-        .sum();
-    Prediction {
-        place: place + mean,
-        variance: (variance + spread).max(1e-16),
-        rotation: rotation.normalize(),
+    if 2 * (siding.len() - 1) <= all {
+        return None;
     }
+    let axis = |a: usize| median(&mut siding.iter().map(|o| o[a]).collect::<Vec<_>>()).unwrap_or(0.0);
+    let offset = DVec3::new(axis(0), axis(1), axis(2));
+    let squares: f64 = siding.iter().map(|o| o.distance_squared(offset)).sum();
+    Some(Departure { offset, variance: squares / (3 * siding.len()) as f64 })
 }
 
-fn trace(m: &DMat3) -> f64 {
-    m.x_axis.x + m.y_axis.y + m.z_axis.z
+/// Largest normalised error that counts; outliers say nothing of the correlation.
+const CLIP: f64 = 3.0;
+
+/// Mean product of two trackers' normalised errors about the priors.
+fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
+    let errors = |i: usize| -> Vec<DVec3> {
+        let Some(prior) = priors[i] else { return Vec::new() };
+        let error = |l: usize| {
+            let (mean, information) = evidence.of(l, i)?;
+            let trace = information.x_axis.x + information.y_axis.y + information.z_axis.z;
+            let z = (mean - prior.mean) * (trace / 3.0 / scales[prior.scales][l]).sqrt();
+            Some(z.clamp_length_max(CLIP))
+        };
+        (0..evidence.trackers()).filter_map(error).collect()
+    };
+    let (mut products, mut squares, mut pairs, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for i in 0..priors.len() {
+        let z = errors(i);
+        for (a, left) in z.iter().enumerate() {
+            squares += left.length_squared();
+            count += 1.0;
+            for right in &z[..a] {
+                products += left.dot(*right);
+                pairs += 1.0;
+            }
+        }
+    }
+    if pairs > 0.0 && squares > 0.0 { (products / pairs / (squares / count)).clamp(0.0, 0.95) } else { 0.0 }
 }

@@ -31,6 +31,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure a finished run again
     Eval(EvalArgs),
+    /// Score the motion initialisation against a capture's ground truth
+    MotionEval(crate::motion_eval::MotionEvalArgs),
     /// Print the default configuration
     Config,
     /// Run one stage on numpy arrays
@@ -287,6 +289,10 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Eval(args) => {
             start_log(args.log);
             crate::eval::eval(&args)?;
+        }
+        Command::MotionEval(args) => {
+            start_log(args.log);
+            crate::motion_eval::motion_eval(&args)?;
         }
         Command::Config => crate::config_text::print_default()?,
         Command::Stage(args) => {

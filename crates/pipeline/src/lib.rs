@@ -9,6 +9,7 @@ pub mod eval;
 mod frame;
 mod manifest;
 mod motion;
+pub mod motion_eval;
 pub mod record;
 pub mod render;
 mod request;

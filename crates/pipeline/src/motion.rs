@@ -88,7 +88,7 @@ pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOu
     if *input.init == Init::None || dynamic.gaussians.is_empty() {
         return Ok(outcome);
     }
-    let observations = observe(input, dynamic, &mut outcome)?;
+    let observations = observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?;
     let estimates = triangulate(input, &observations, &mut outcome)?;
     fuse(input, &estimates, dynamic, &mut outcome)?;
     validate_positions(input, dynamic, &mut outcome)?;
@@ -96,7 +96,8 @@ pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOu
     Ok(outcome)
 }
 
-fn selected_trackers(input: &MotionInput, outcome: &mut MotionOutcome) -> Vec<usize> {
+/// Trackers used, as indices into the store.
+pub fn selected_trackers(input: &MotionInput, outcome: &mut MotionOutcome) -> Vec<usize> {
     let Some(store) = input.tracks else {
         outcome
             .warnings
@@ -112,16 +113,23 @@ fn selected_trackers(input: &MotionInput, outcome: &mut MotionOutcome) -> Vec<us
 }
 
 /// Lines 3 to 19: motion fields view by view (so that memory does not grow with the views), agreement, association.
-fn observe(input: &MotionInput, dynamic: &Dynamic, outcome: &mut MotionOutcome) -> Result<Vec<Observations>> {
+/// `inspect` sees each view's index and fields.
+pub fn observe(
+    input: &MotionInput,
+    gaussians: &Gaussians,
+    outcome: &mut MotionOutcome,
+    inspect: &mut dyn FnMut(usize, &[DenseMotion]),
+) -> Result<Vec<Observations>> {
     let trackers = selected_trackers(input, outcome);
-    let n = dynamic.gaussians.len();
+    let n = gaussians.len();
     let mut observations = vec![Observations::unobserved(input.before.len(), n); trackers.len()];
-    let mut joint = dynamic.gaussians.clone();
+    let mut joint = gaussians.clone();
     joint.extend(input.static_layer);
     let mut scratch = (RenderTape::default(), FootprintSums::default());
     let previous = outcome.previous.clone();
     for (v, view) in input.before.iter().enumerate().filter(|(_, view)| view.mask.count() > 0) {
         let fields = motion_fields(input, &trackers, v, &view.mask, outcome)?;
+        inspect(v, &fields);
         let start = Instant::now();
         associate(input, view, &joint, &fields, &mut scratch);
         let at = ObservedView { config: input.config, camera: &view.camera, view: v, previous: &previous };
@@ -227,7 +235,8 @@ impl ObservedView<'_> {
     }
 }
 
-fn triangulate(
+/// Lines 20 to 24: every tracker's estimates.
+pub fn triangulate(
     input: &MotionInput,
     observations: &[Observations],
     outcome: &mut MotionOutcome,
@@ -264,7 +273,8 @@ pub fn pixel_sizes(means: &[DVec3], views: &[TrainingView]) -> Vec<f64> {
     sizes.into_iter().map(|s| if s.is_finite() { s } else { typical }).collect()
 }
 
-fn fuse(
+/// Lines 25 to 34: moves the layer.
+pub fn fuse(
     input: &MotionInput,
     estimates: &[Estimates],
     dynamic: &mut Dynamic,
@@ -295,7 +305,8 @@ fn fuse(
     Ok(())
 }
 
-fn rotated(rotation: Option<&DQuat>, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
+/// A splat's quaternion (w, x, y, z) turned.
+pub fn rotated(rotation: Option<&DQuat>, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
     let Some(rotation) = rotation else { return [w, x, y, z] };
     let q = rotation.as_quat() * glam::Quat::from_xyzw(x, y, z, w);
     [q.w, q.x, q.y, q.z]
@@ -324,10 +335,12 @@ fn validate_positions(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut 
     Ok(())
 }
 
+/// With the masks grown as for marking: a splat's mean may lie beside the mask that its footprint touches.
 fn valid_positions(input: &MotionInput, means: &[DVec3]) -> Result<Vec<bool>> {
     let with_foreground = input.now.iter().filter(|v| v.mask.count() > 0);
+    let dilation = input.config.marking.dilation;
     let (cameras, masks): (Vec<Camera>, Vec<Mask>) =
-        with_foreground.map(|v| (v.camera, v.mask.clone())).unzip();
+        with_foreground.map(|v| (v.camera, v.mask.dilated(dilation))).unzip();
     let counts = count_views(means, &cameras, &masks)?;
     Ok(counts.into_iter().map(|c| validate(c, input.config.marking.slack)).collect())
 }

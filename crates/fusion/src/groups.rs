@@ -1,0 +1,387 @@
+//! Discovers what moves rigidly together, from the motion alone; beyond the paper.
+//!
+//! The cloud is cut into compact cells. Each cell estimates its own motion. Larger nodes of the same tree propose
+//! rigid motions; the proposal that explains most cells founds a group, is fitted again to a connected set of them,
+//! and the search goes on with the rest.
+
+use crate::cells::{Cells, bounds};
+use crate::evidence::{Evidence, MEDIAN_CHI2};
+use crate::fuse::symmetric_inverse;
+use crate::motion_fit::{MotionFit, fit_motion, jackknife, place_covariance};
+use crate::process_noise::median;
+use crate::rigid::RigidMotion;
+use glam::{DMat3, DQuat, DVec3};
+use nalgebra::Matrix6;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the rigid groups.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GroupsConfig {
+    /// Gaussians of a cell.
+    pub cell: usize,
+    /// Most cells; beyond, cells grow.
+    pub max_cells: usize,
+    /// Fewest cells that found a group.
+    pub min_cells: usize,
+    /// Most groups.
+    pub max_groups: usize,
+    /// Gaussians a group's motion is fitted to at most.
+    pub sample: usize,
+    /// Neighbouring estimates that share one error: 64 Gaussians of a cell count as 64 / this many.
+    pub correlated: f64,
+    /// Squared Mahalanobis distance beyond which evidence contradicts a motion; 11.3 is the 99 % point.
+    pub leave: f64,
+    /// Cells nearer than this many typical cell diagonals are connected.
+    pub reach: f64,
+    /// Patches of a group whose shared errors are independent: what all trackers get wrong together remains in the
+    /// group's motion with the cells' scatter over the square root of this.
+    pub patches: f64,
+}
+
+impl Default for GroupsConfig {
+    fn default() -> Self {
+        Self {
+            cell: 64,
+            max_cells: 2048,
+            min_cells: 3,
+            max_groups: 32,
+            sample: 4096,
+            correlated: 4.0,
+            leave: 11.3,
+            reach: 1.5,
+            patches: 8.0,
+        }
+    }
+}
+
+/// Gaussians that move rigidly together.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// Their motion from t-1 to t.
+    pub motion: RigidMotion,
+    /// Covariance of its step (m) and rotation vector (rad).
+    pub covariance: Matrix6<f64>,
+    /// Per tracker: variance of its estimates about the motion over what they claim.
+    pub scales: Vec<f64>,
+    /// Variance per axis of the cells' own motions about the group's (m^2).
+    pub spread: f64,
+    /// Cells that found the group.
+    pub cells: usize,
+}
+
+impl Group {
+    /// Where the group takes a place of t-1 (m), and the covariance of that (m^2).
+    pub fn predict(&self, place: DVec3, config: &GroupsConfig) -> (DVec3, DMat3) {
+        let arm = self.motion.rotation * (place - self.motion.centre);
+        let shared = self.spread / config.patches.clamp(1.0, self.cells.max(1) as f64);
+        let covariance = place_covariance(&self.covariance, arm) + DMat3::from_diagonal(DVec3::splat(shared));
+        (self.motion.apply(place), covariance)
+    }
+}
+
+/// The groups of one frame.
+#[derive(Clone, Debug, Default)]
+pub struct Groups {
+    /// Groups, the one with most cells first.
+    pub groups: Vec<Group>,
+    /// (N) the group of each Gaussian; `None` only when there are no groups.
+    pub of: Vec<Option<usize>>,
+}
+
+/// Finds the groups. `previous` (N, m) are the places at t-1.
+pub fn discover(previous: &[DVec3], evidence: &Evidence, config: &GroupsConfig) -> Groups {
+    let size = config.cell.max(previous.len().div_ceil(config.max_cells.max(1)));
+    let cells = Cells::new(previous, size);
+    let search = Search::new(previous, evidence, config, &cells);
+    let mut free: Vec<bool> = search.voters.iter().map(Option::is_some).collect();
+    let mut found: Vec<(Vec<usize>, RigidMotion)> = Vec::new();
+    while found.len() < config.max_groups {
+        let Some((members, motion)) = search.next_group(&free) else { break };
+        members.iter().for_each(|&c| free[c] = false);
+        found.push((members, motion));
+    }
+    let groups: Vec<(Vec<usize>, Group)> =
+        found.into_par_iter().filter_map(|(members, motion)| search.finish(members, motion)).collect();
+    search.assign(groups)
+}
+
+/// A cell's own motion.
+struct Voter {
+    centre: DVec3,
+    /// Where its centre goes (m).
+    place: DVec3,
+    covariance: DMat3,
+    information: DMat3,
+    weight: f64,
+    /// Mean factor on the trackers' covariances within the cell.
+    scale: f64,
+}
+
+impl Voter {
+    fn inflate(&mut self, factor: f64) {
+        self.covariance *= factor;
+        self.information *= factor.recip();
+    }
+
+    fn distance(&self, motion: &RigidMotion) -> f64 {
+        let e = motion.apply(self.centre) - self.place;
+        e.dot(self.information * e)
+    }
+}
+
+struct Search<'a> {
+    previous: &'a [DVec3],
+    evidence: &'a Evidence<'a>,
+    config: &'a GroupsConfig,
+    cells: &'a Cells,
+    /// One a cell; `None` where too little was measured.
+    voters: Vec<Option<Voter>>,
+    proposals: Vec<RigidMotion>,
+    /// Cells near each cell.
+    adjacent: Vec<Vec<usize>>,
+    centres: Vec<DVec3>,
+}
+
+/// A node of the tree, as a range of Gaussians, and its motion.
+type Proposal = (std::ops::Range<usize>, RigidMotion);
+
+/// Cells of the nodes that show how much the errors of a cell's members are shared.
+const NOISE_CELLS: std::ops::RangeInclusive<usize> = 8..=32;
+
+/// Factor on the cells' covariances (at least 1) learnt from how cells scatter about the motions of nodes of some
+/// cells: trackers err smoothly over a surface, so many estimates are not many independent ones.
+fn shared_noise(
+    leaves: &[std::ops::Range<usize>],
+    voters: &[Option<Voter>],
+    proposals: &[Proposal],
+) -> f64 {
+    let factor = |(range, motion): &Proposal| {
+        let first = leaves.partition_point(|l| l.start < range.start);
+        let last = leaves.partition_point(|l| l.start < range.end);
+        let mut distances: Vec<f64> =
+            voters[first..last].iter().flatten().map(|v| v.distance(motion)).collect();
+        let enough = NOISE_CELLS.contains(&distances.len());
+        enough.then(|| median(&mut distances)).flatten().map(|m| m / MEDIAN_CHI2)
+    };
+    let mut factors: Vec<f64> = proposals.iter().filter_map(factor).collect();
+    median(&mut factors).unwrap_or(1.0).max(1.0)
+}
+
+/// Fewest measured Gaussians of a cell with a vote.
+const MIN_MEASURED: usize = 8;
+/// Gaussians a proposal is fitted to.
+const PROPOSAL_SAMPLE: usize = 256;
+
+impl<'a> Search<'a> {
+    fn new(
+        previous: &'a [DVec3],
+        evidence: &'a Evidence<'a>,
+        config: &'a GroupsConfig,
+        cells: &'a Cells,
+    ) -> Self {
+        let fit = |members: &[usize], most: usize| {
+            let members = measured_sample(evidence, members, most);
+            fit_from_median(evidence, previous, &members)
+        };
+        let voter = |range: &std::ops::Range<usize>| {
+            let fit = fit(cells.members(range), usize::MAX)?;
+            let of_motion = fit.information.cholesky()?.inverse() * config.correlated;
+            let covariance = place_covariance(&of_motion, DVec3::ZERO);
+            let centre = fit.motion.centre;
+            let place = fit.motion.apply(centre);
+            let information = symmetric_inverse(covariance);
+            let weight = range.len() as f64;
+            let scale = fit.scales.iter().sum::<f64>() / fit.scales.len() as f64;
+            information.is_finite().then_some(Voter { centre, place, covariance, information, weight, scale })
+        };
+        let largest = cells.leaves.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
+        let proposal = |range: &std::ops::Range<usize>| {
+            let large = range.len() > largest;
+            large.then(|| fit(cells.members(range), PROPOSAL_SAMPLE)).flatten().map(|f| (range.clone(), f.motion))
+        };
+        let boxes: Vec<(DVec3, DVec3)> =
+            cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| previous[i]))).collect();
+        let mut voters: Vec<Option<Voter>> = cells.leaves.par_iter().map(voter).collect();
+        let proposals: Vec<Proposal> = cells.nodes.par_iter().filter_map(proposal).collect();
+        // Few estimates that happen to agree, or share their error, are no surer than those of other cells.
+        let typical = median(&mut voters.iter().flatten().map(|v| v.scale).collect::<Vec<_>>()).unwrap_or(1.0);
+        voters.iter_mut().flatten().for_each(|v| v.inflate((typical / v.scale).max(1.0)));
+        let noise = shared_noise(&cells.leaves, &voters, &proposals);
+        voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
+        Self {
+            previous,
+            evidence,
+            config,
+            cells,
+            voters,
+            proposals: proposals.into_iter().map(|p| p.1).collect(),
+            adjacent: adjacency(&boxes, config.reach),
+            centres: boxes.iter().map(|b| (b.0 + b.1) * 0.5).collect(),
+        }
+    }
+
+    /// Squared Mahalanobis distance up to which a cell agrees with a motion; cells err together, so this is generous.
+    fn explained_below(&self) -> f64 {
+        2.0 * self.config.leave
+    }
+
+    /// The connected cells that a proposal explains best, among the free ones, and the motion fitted to them.
+    fn next_group(&self, free: &[bool]) -> Option<(Vec<usize>, RigidMotion)> {
+        let score = |motion: &RigidMotion| {
+            let gain = |(voter, &free): (&Option<Voter>, &bool)| {
+                let voter = voter.as_ref().filter(|_| free)?;
+                Some(voter.weight * (1.0 - voter.distance(motion) / self.explained_below()).max(0.0))
+            };
+            self.voters.iter().zip(free).filter_map(gain).sum::<f64>()
+        };
+        let scores: Vec<f64> = self.proposals.par_iter().map(score).collect();
+        let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(b.cmp(&a)))?;
+        let members = self.explained(&self.proposals[best], free);
+        let motion = self.refit(&members, self.proposals[best])?.motion;
+        let again = self.explained(&motion, free);
+        let members = if again.len() >= members.len() { again } else { members };
+        (members.len() >= self.config.min_cells.max(1)).then_some((members, motion))
+    }
+
+    /// The heaviest connected set of free cells that agree with a motion.
+    fn explained(&self, motion: &RigidMotion, free: &[bool]) -> Vec<usize> {
+        let agrees = |c: usize| {
+            free[c] && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < self.explained_below())
+        };
+        let mut open: Vec<bool> = (0..free.len()).map(agrees).collect();
+        let mut best = Vec::new();
+        for seed in 0..open.len() {
+            if !std::mem::replace(&mut open[seed], false) {
+                continue;
+            }
+            let (mut component, mut next) = (vec![seed], 0);
+            while let Some(&cell) = component.get(next) {
+                next += 1;
+                for &other in &self.adjacent[cell] {
+                    if std::mem::replace(&mut open[other], false) {
+                        component.push(other);
+                    }
+                }
+            }
+            if component.len() > best.len() {
+                best = component;
+            }
+        }
+        best.sort_unstable();
+        best
+    }
+
+    fn members(&self, cells: &[usize]) -> Vec<usize> {
+        let all: Vec<usize> = (cells.iter())
+            .flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied())
+            .collect();
+        measured_sample(self.evidence, &all, self.config.sample)
+    }
+
+    fn refit(&self, cells: &[usize], start: RigidMotion) -> Option<MotionFit> {
+        fit_motion(self.evidence, self.previous, &self.members(cells), start)
+    }
+
+    /// The group's final motion with its covariance.
+    fn finish(&self, cells: Vec<usize>, start: RigidMotion) -> Option<(Vec<usize>, Group)> {
+        let fit = self.refit(&cells, start)?;
+        let covariance = jackknife(self.evidence, self.previous, &self.members(&cells), &fit);
+        let length = |&c: &usize| {
+            let voter = self.voters[c].as_ref()?;
+            Some((fit.motion.apply(voter.centre) - voter.place).length())
+        };
+        let mut lengths: Vec<f64> = cells.iter().filter_map(length).collect();
+        let sigma = median(&mut lengths)? / MEDIAN_LENGTH;
+        let group = Group {
+            motion: fit.motion,
+            covariance,
+            scales: fit.scales,
+            spread: sigma * sigma,
+            cells: cells.len(),
+        };
+        Some((cells, group))
+    }
+
+    /// Every cell joins a group: its own, or the one with the nearest cell.
+    fn assign(&self, found: Vec<(Vec<usize>, Group)>) -> Groups {
+        let mut out = Groups { groups: Vec::new(), of: vec![None; self.previous.len()] };
+        let mut label: Vec<Option<usize>> = vec![None; self.centres.len()];
+        for (cells, group) in found {
+            let parent = self.parent(&cells, &label);
+            if parent.is_some_and(|p: usize| self.agree(&group, &out.groups[p])) {
+                cells.iter().for_each(|&c| label[c] = parent);
+            } else {
+                cells.iter().for_each(|&c| label[c] = Some(out.groups.len()));
+                out.groups.push(group);
+            }
+        }
+        let founders: Vec<usize> = (0..label.len()).filter(|&c| label[c].is_some()).collect();
+        for (c, range) in self.cells.leaves.iter().enumerate() {
+            let distance = |f: usize| self.centres[f].distance_squared(self.centres[c]);
+            let nearest = || founders.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+            let group = label[c].or_else(|| nearest().and_then(|f| label[f]));
+            self.cells.members(range).iter().for_each(|&i| out.of[i] = group);
+        }
+        out
+    }
+
+    /// The earlier group that most of the connected cells belong to.
+    fn parent(&self, cells: &[usize], label: &[Option<usize>]) -> Option<usize> {
+        let around: Vec<usize> = cells.iter().flat_map(|&c| &self.adjacent[c]).filter_map(|&o| label[o]).collect();
+        let count = |g: usize| around.iter().filter(|&&o| o == g).count();
+        around.iter().copied().max_by(|&a, &b| count(a).cmp(&count(b)).then(b.cmp(&a)))
+    }
+
+    /// Whether the motion of a group is no more than an error of its trackers about the motion of its parent: within
+    /// what they scatter about the parent, or not even shared by all of them.
+    fn agree(&self, group: &Group, parent: &Group) -> bool {
+        let mut scales = group.scales.iter().zip(&parent.scales);
+        if scales.any(|(own, parents)| *own > DISSENT * parents) {
+            return true;
+        }
+        let centre = group.motion.centre;
+        let (place, covariance) = group.predict(centre, self.config);
+        let (expected, uncertain) = parent.predict(centre, self.config);
+        let total = covariance + uncertain + DMat3::from_diagonal(DVec3::splat(parent.spread));
+        let e = place - expected;
+        e.dot(symmetric_inverse(total) * e) <= self.config.leave
+    }
+}
+
+/// Factor by which a tracker's variance about a group's motion exceeds that about the parent's when it dissents.
+const DISSENT: f64 = 10.0;
+
+/// Median length of a three-dimensional standard normal vector.
+const MEDIAN_LENGTH: f64 = 1.538;
+
+/// The measured ones of `members`, thinned evenly to at most `most`, in the same order.
+fn measured_sample(evidence: &Evidence, members: &[usize], most: usize) -> Vec<usize> {
+    let measured: Vec<usize> = members.iter().copied().filter(|&i| evidence.measured(i)).collect();
+    let stride = measured.len().div_ceil(most.max(1)).max(1);
+    measured.into_iter().step_by(stride).collect()
+}
+
+/// Fits from the componentwise median of all trackers' displacements.
+fn fit_from_median(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -> Option<MotionFit> {
+    if members.len() < MIN_MEASURED {
+        return None;
+    }
+    let steps: Vec<DVec3> = (members.iter())
+        .flat_map(|&i| (0..evidence.trackers()).filter_map(move |l| Some(evidence.of(l, i)?.0 - previous[i])))
+        .collect();
+    let axis = |a: usize| median(&mut steps.iter().map(|s| s[a]).collect::<Vec<_>>());
+    let step = DVec3::new(axis(0)?, axis(1)?, axis(2)?);
+    let start = RigidMotion { centre: previous[members[0]], rotation: DQuat::IDENTITY, step };
+    fit_motion(evidence, previous, members, start)
+}
+
+/// For every box those no farther away than `reach` typical diagonals.
+fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
+    let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
+    let limit = reach * median(&mut diagonals).unwrap_or(0.0);
+    let gap = |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length();
+    let near = |a: usize| (0..boxes.len()).filter(|&b| b != a && gap(&boxes[a], &boxes[b]) <= limit).collect();
+    (0..boxes.len()).into_par_iter().map(near).collect()
+}
