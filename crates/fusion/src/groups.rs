@@ -152,11 +152,7 @@ const NOISE_CELLS: std::ops::RangeInclusive<usize> = 8..=32;
 
 /// Factor on the cells' covariances (at least 1) learnt from how cells scatter about the motions of nodes of some
 /// cells: trackers err smoothly over a surface, so many estimates are not many independent ones.
-fn shared_noise(
-    leaves: &[std::ops::Range<usize>],
-    voters: &[Option<Voter>],
-    proposals: &[Proposal],
-) -> f64 {
+fn shared_noise(leaves: &[std::ops::Range<usize>], voters: &[Option<Voter>], proposals: &[Proposal]) -> f64 {
     let factor = |(range, motion): &Proposal| {
         let first = leaves.partition_point(|l| l.start < range.start);
         let last = leaves.partition_point(|l| l.start < range.end);
@@ -199,14 +195,18 @@ impl<'a> Search<'a> {
         let largest = cells.leaves.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
         let proposal = |range: &std::ops::Range<usize>| {
             let large = range.len() > largest;
-            large.then(|| fit(cells.members(range), PROPOSAL_SAMPLE)).flatten().map(|f| (range.clone(), f.motion))
+            large
+                .then(|| fit(cells.members(range), PROPOSAL_SAMPLE))
+                .flatten()
+                .map(|f| (range.clone(), f.motion))
         };
         let boxes: Vec<(DVec3, DVec3)> =
             cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| previous[i]))).collect();
         let mut voters: Vec<Option<Voter>> = cells.leaves.par_iter().map(voter).collect();
         let proposals: Vec<Proposal> = cells.nodes.par_iter().filter_map(proposal).collect();
         // Few estimates that happen to agree, or share their error, are no surer than those of other cells.
-        let typical = median(&mut voters.iter().flatten().map(|v| v.scale).collect::<Vec<_>>()).unwrap_or(1.0);
+        let typical =
+            median(&mut voters.iter().flatten().map(|v| v.scale).collect::<Vec<_>>()).unwrap_or(1.0);
         voters.iter_mut().flatten().for_each(|v| v.inflate((typical / v.scale).max(1.0)));
         let noise = shared_noise(&cells.leaves, &voters, &proposals);
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
@@ -274,9 +274,8 @@ impl<'a> Search<'a> {
     }
 
     fn members(&self, cells: &[usize]) -> Vec<usize> {
-        let all: Vec<usize> = (cells.iter())
-            .flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied())
-            .collect();
+        let all: Vec<usize> =
+            (cells.iter()).flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied()).collect();
         measured_sample(self.evidence, &all, self.config.sample)
     }
 
@@ -329,7 +328,8 @@ impl<'a> Search<'a> {
 
     /// The earlier group that most of the connected cells belong to.
     fn parent(&self, cells: &[usize], label: &[Option<usize>]) -> Option<usize> {
-        let around: Vec<usize> = cells.iter().flat_map(|&c| &self.adjacent[c]).filter_map(|&o| label[o]).collect();
+        let around: Vec<usize> =
+            cells.iter().flat_map(|&c| &self.adjacent[c]).filter_map(|&o| label[o]).collect();
         let count = |g: usize| around.iter().filter(|&&o| o == g).count();
         around.iter().copied().max_by(|&a, &b| count(a).cmp(&count(b)).then(b.cmp(&a)))
     }
@@ -382,6 +382,7 @@ fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
     let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
     let limit = reach * median(&mut diagonals).unwrap_or(0.0);
     let gap = |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length();
-    let near = |a: usize| (0..boxes.len()).filter(|&b| b != a && gap(&boxes[a], &boxes[b]) <= limit).collect();
+    let near =
+        |a: usize| (0..boxes.len()).filter(|&b| b != a && gap(&boxes[a], &boxes[b]) <= limit).collect();
     (0..boxes.len()).into_par_iter().map(near).collect()
 }

@@ -94,7 +94,8 @@ pub fn fit_motion(
         for &i in members {
             let arm = motion.rotation * (previous[i] - motion.centre);
             let predicted = arm + motion.centre + motion.step;
-            let terms = scales.iter().enumerate().filter_map(|(l, s)| weighted(evidence, l, i, predicted, *s));
+            let terms =
+                scales.iter().enumerate().filter_map(|(l, s)| weighted(evidence, l, i, predicted, *s));
             let (w, wr) = terms.fold((DMat3::ZERO, DVec3::ZERO), |sum, t| (sum.0 + t.0, sum.1 + t.1));
             normal.add(arm, w, wr);
         }
@@ -111,13 +112,7 @@ pub fn fit_motion(
 }
 
 /// Robustly weighted information of one estimate about a predicted place, and its product with the residual.
-fn weighted(
-    evidence: &Evidence,
-    l: usize,
-    i: usize,
-    predicted: DVec3,
-    scale: f64,
-) -> Option<(DMat3, DVec3)> {
+fn weighted(evidence: &Evidence, l: usize, i: usize, predicted: DVec3, scale: f64) -> Option<(DMat3, DVec3)> {
     let (mean, information) = evidence.of(l, i)?;
     let r = mean - predicted;
     let scaled = information * scale.recip();

@@ -78,14 +78,17 @@ pub fn local_rigid_motion(
     }
     let centres: Vec<[f64; 3]> = seeds.iter().map(|s| (s.motion.centre - cloud.origin).to_array()).collect();
     let tree = tree(&centres)?;
-    let predictions: Vec<Prediction> =
-        (0..previous.len()).into_par_iter().map(|i| match wanted[i] {
+    let predictions: Vec<Prediction> = (0..previous.len())
+        .into_par_iter()
+        .map(|i| match wanted[i] {
             true => cloud.predict(i, &seeds, &tree, config),
             false => Prediction { place: previous[i], variance: 1.0, rotation: DQuat::IDENTITY },
-        }).collect();
+        })
+        .collect();
     let inflation = cloud.inflation(&predictions, wanted);
     let covariance = |i: usize, p: &Prediction| {
-        let widened = if measured[i] && wanted[i] { cloud.widening(i, p, inflation, config.leave) } else { 1.0 };
+        let widened =
+            if measured[i] && wanted[i] { cloud.widening(i, p, inflation, config.leave) } else { 1.0 };
         DMat3::from_diagonal(DVec3::splat(p.variance * widened))
     };
     Ok(Some(StructurePrior {
@@ -225,7 +228,8 @@ impl<'a> Cloud<'a> {
             let e = self.means[i] - predictions[i].place;
             e.dot(self.covariances[i].inverse() * e)
         };
-        let mut distances: Vec<f64> = self.donors.iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
+        let mut distances: Vec<f64> =
+            self.donors.iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
         (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(1.0)
     }
 

@@ -67,10 +67,18 @@ pub fn structured(
         let g = groups.of[i]?;
         let group = &groups.groups[g];
         let (mean, covariance) = group.predict(previous[i], &config.groups);
-        Some(Prior { mean, covariance, rotation: group.motion.rotation, scales: g, spread: group.spread, left: false })
+        Some(Prior {
+            mean,
+            covariance,
+            rotation: group.motion.rotation,
+            scales: g,
+            spread: group.spread,
+            left: false,
+        })
     };
     let priors: Vec<Option<Prior>> = (0..previous.len()).into_par_iter().map(by_group).collect();
-    let leavers = Leavers { previous, evidence, priors: &priors, scales: &scales, leave: config.groups.leave };
+    let leavers =
+        Leavers { previous, evidence, priors: &priors, scales: &scales, leave: config.groups.leave };
     let departures = leavers.find()?;
     let correlation = correlation(evidence, &priors, &scales);
     let priors: Vec<Option<Prior>> = priors.into_iter().zip(departures).map(|(p, d)| depart(p, d)).collect();
@@ -102,14 +110,12 @@ fn with_neighbourhoods(
         return Ok(priors.into_iter().collect());
     }
     let (previous, ones) = (input.prior_means, vec![1.0; evidence.trackers()]);
-    let combined: Vec<_> =
-        (0..previous.len()).into_par_iter().map(|i| evidence.combined(i, &ones)).collect();
+    let combined: Vec<_> = (0..previous.len()).into_par_iter().map(|i| evidence.combined(i, &ones)).collect();
     let means: Vec<DVec3> = combined.iter().zip(previous).map(|(c, &p)| c.map_or(p, |c| c.0)).collect();
     let covariances: Vec<DMat3> =
         combined.iter().map(|c| c.map_or(DMat3::ZERO, |c| symmetric_inverse(c.1))).collect();
     let measured: Vec<bool> = combined.iter().map(Option::is_some).collect();
-    let local =
-        local_rigid_motion(previous, &means, &covariances, &measured, &wanted, &config.rigid)?;
+    let local = local_rigid_motion(previous, &means, &covariances, &measured, &wanted, &config.rigid)?;
     let Some(local) = local else { return Ok(None) };
     let row = scales.len();
     scales.push(vec![local.inflation; evidence.trackers()]);

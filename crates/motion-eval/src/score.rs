@@ -98,10 +98,8 @@ mod tests {
 
     #[test]
     fn quantiles_coverage_and_bins() {
-        let sample = |cm: f64| Sample {
-            error: DVec3::new(0.0, cm / 100.0, 0.0),
-            covariance: DMat3::IDENTITY * 1e-4,
-        };
+        let sample =
+            |cm: f64| Sample { error: DVec3::new(0.0, cm / 100.0, 0.0), covariance: DMat3::IDENTITY * 1e-4 };
         let samples: Vec<Sample> = (1..=100).map(|i| sample(0.04 * f64::from(i))).collect();
         let s = summarise(&samples);
         assert!((s.median_cm - 2.0).abs() < 1e-9 && (s.p95_cm - 3.8).abs() < 1e-9);
