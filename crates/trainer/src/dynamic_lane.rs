@@ -44,8 +44,8 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 300,
-            position_rate: 3e-4,
-            position_rate_end: 1e-5,
+            position_rate: 1e-4,
+            position_rate_end: 3e-6,
             quat_rate: 1e-3,
             scale_rate: 5e-3,
             opacity_rate: 1e-2,
