@@ -25,7 +25,7 @@ impl Console {
         let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let bars = MultiProgress::with_draw_target(target);
         let bar = bars.add(ProgressBar::new(frames.len() as u64));
-        bar.set_style(style("frames {bar:30} {pos}/{len}  {msg}  {elapsed} passed, {eta} left"));
+        bar.set_style(style("frames {bar:30} {pos}/{len}  {msg}  {elapsed} passed"));
         Self { bars, frames: bar }
     }
 
@@ -45,7 +45,7 @@ impl Console {
 
     /// A frame is written.
     pub fn end_frame(&mut self, record: &FrameRecord) {
-        self.frames.inc(1);
+        self.estimate_time();
         let of = |f: fn(&crate::record::ViewMetrics) -> Option<f64>| {
             let values: Vec<f64> = record.views.iter().filter_map(f).collect();
             values.iter().sum::<f64>() / values.len().max(1) as f64
@@ -61,6 +61,16 @@ impl Console {
         );
         for warning in &record.warnings {
             tracing::warn!("frame {}: {warning}", record.frame);
+        }
+    }
+
+    /// The first frame takes far longer than the others and must not enter their estimate.
+    fn estimate_time(&self) {
+        self.frames.inc(1);
+        if self.frames.position() == 1 {
+            self.frames.reset_eta();
+        } else {
+            self.frames.set_style(style("frames {bar:30} {pos}/{len}  {msg}  {elapsed} passed, {eta} left"));
         }
     }
 
@@ -80,9 +90,9 @@ impl Console {
 }
 
 impl Lane {
-    /// Shows a step; the terminal is touched every 10 steps only.
+    /// Shows a step; the terminal is touched every 10 steps only, oftener in short lanes.
     pub fn show(&self, p: Progress) {
-        if p.iteration.is_multiple_of(10) || p.iteration == p.iterations {
+        if p.iteration.is_multiple_of((p.iterations / 50).clamp(1, 10)) || p.iteration == p.iterations {
             self.0.set_position(p.iteration as u64);
             self.0
                 .set_message(format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians));
