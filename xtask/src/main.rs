@@ -3,6 +3,7 @@
 mod ci;
 mod ffgs;
 mod fixtures;
+mod monaco;
 mod setup;
 mod tidy;
 mod workspace;
@@ -38,6 +39,13 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         args: Vec<String>,
     },
+    /// Render captures of racing cars on a street circuit, with exact ground truth.
+    #[command(after_help = MONACO_HELP)]
+    Monaco {
+        /// A command of the generator and its options; without any, their list.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+        args: Vec<String>,
+    },
     /// Install the Debian packages the project needs; does nothing when they are there.
     Setup,
     /// Check the project's own rules: crate edges, file sizes, names, leftovers, whitespace.
@@ -60,6 +68,30 @@ Examples:
   cargo xtask pipeline --frames 0..3 --iterations 100   the sample, but less work
   cargo xtask pipeline --resume                         go on after an interruption
 `cargo xtask run --help` lists every option of the run.";
+
+const MONACO_HELP: &str = "\
+The first call makes a virtual environment below the target folder (Python 3.11, Blender's module bpy and
+Snakemake: about 400 MB to download, 1.3 GB on disk). No display and no GPU are needed.
+
+A capture, step by step:
+  cargo xtask monaco sections                                        what can be rendered
+  cargo xtask monaco make --out out/pool --section pool --weather rain
+                                                                     a complete small capture
+  cargo xtask monaco check out/pool                                  verify it; prints figures
+  cargo xtask monaco tracks out/pool                                 add the outputs of three trackers
+  cargo xtask monaco sheet out/pool out/pool.jpg                     look at it
+  cargo xtask pipeline out/pool --out out/pool-run                   reconstruct it
+
+More of it:
+  cargo xtask monaco make --out DIR --scale small --section tunnel   mini, small or full
+  cargo xtask monaco make --out DIR --frames 4 --trackside 24 --res 320x180 --samples 24
+                                                                     any number instead of the scale's
+  cargo xtask monaco make --out DIR --weather fog --truth-from out/day
+                                                                     the same pass in another light
+  cargo xtask monaco farm --out DIR --scale full --cores 16          shards over worker processes
+  cargo xtask monaco COMMAND --help                                  every option
+
+An interrupted command goes on where it stopped when it is given again: files that exist are not made again.";
 
 #[derive(Subcommand)]
 enum FixturesAction {
@@ -86,6 +118,7 @@ fn run(command: Command) -> Result<ExitCode> {
             setup::run()?;
             return ffgs::pipeline(&root, args);
         }
+        Command::Monaco { args } => return monaco::run(&root, &args),
         Command::Ffgs(args) => return ffgs::pass_through(&root, &args),
         Command::Setup => setup::run()?,
         Command::Tidy => {
@@ -114,6 +147,13 @@ mod tests {
         let cli = Cli::try_parse_from(["x", "pipeline", "cap", "--out", "o", "--frames", "0..2"]).unwrap();
         let Command::Pipeline { args } = cli.command else { panic!("not the pipeline command") };
         assert_eq!(args, ["cap", "--out", "o", "--frames", "0..2"]);
+    }
+
+    #[test]
+    fn monaco_hands_every_option_on() {
+        let cli = Cli::try_parse_from(["x", "monaco", "make", "--out", "o", "--help"]).unwrap();
+        let Command::Monaco { args } = cli.command else { panic!("not the generator") };
+        assert_eq!(args, ["make", "--out", "o", "--help"]);
     }
 
     #[test]
