@@ -37,12 +37,13 @@ const STEPS: [Step; 10] = [
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
 
-/// Runs the steps in order, stops at the first failure, and closes with the test count.
-pub fn run(root: &Path) -> Result<()> {
+/// Runs the steps in order, or only the named ones; stops at the first failure and closes with the test count.
+pub fn run(root: &Path, only: &[String]) -> Result<()> {
+    let steps = chosen(only)?;
     let mut rows = Vec::new();
     let mut skipped = Vec::new();
     let mut tally = Tally::default();
-    for (name, step) in STEPS {
+    for (name, step) in steps {
         println!("ci: {name} …");
         let start = Instant::now();
         let result = step(root);
@@ -63,11 +64,19 @@ pub fn run(root: &Path) -> Result<()> {
             }
         }
     }
-    ensure!(tally.passed > 0, "no test ran");
+    ensure!(tally.passed > 0 || !only.is_empty(), "no test ran");
     println!("\n{}", table(&rows));
     skipped.iter().for_each(|line| println!("{line}"));
     println!("{} passed, {} failed", tally.passed, tally.failed);
     Ok(())
+}
+
+fn chosen(only: &[String]) -> Result<Vec<Step>> {
+    let names: Vec<&str> = STEPS.iter().map(|step| step.0).collect();
+    if let Some(unknown) = only.iter().find(|name| !names.contains(&name.as_str())) {
+        bail!("no step `{unknown}`; there are: {}", names.join(", "));
+    }
+    Ok(STEPS.into_iter().filter(|step| only.is_empty() || only.iter().any(|name| name == step.0)).collect())
 }
 
 fn passed(result: Result<()>) -> Result<Outcome> {
@@ -213,6 +222,17 @@ mod tests {
         tally.add("running 2 tests\ntest result: ok. 2 passed; 0 failed; 0 ignored; finished in 0.1s\n");
         tally.add("==== test session starts ====\n==== 1 failed, 3 passed, 2 deselected in 3.45s ====\n");
         assert_eq!(tally, Tally { passed: 17, failed: 2 });
+    }
+
+    #[test]
+    fn steps_can_be_chosen_by_name() {
+        let names = |only: &[&str]| {
+            let only: Vec<String> = only.iter().map(|&name| name.to_owned()).collect();
+            chosen(&only).map(|steps| steps.iter().map(|step| step.0).collect::<Vec<_>>())
+        };
+        assert_eq!(names(&[]).unwrap().len(), STEPS.len());
+        assert_eq!(names(&["rendering", "doc tests"]).unwrap(), ["doc tests", "rendering"]);
+        assert!(names(&["docs"]).unwrap_err().to_string().contains("doc tests"));
     }
 
     #[test]

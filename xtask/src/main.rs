@@ -56,7 +56,11 @@ enum Command {
         action: FixturesAction,
     },
     /// Run everything that must pass before a change lands; stops at the first failure.
-    Ci,
+    Ci {
+        /// Only these steps, by the names that the table at the end shows.
+        #[arg(value_name = "STEP")]
+        only: Vec<String>,
+    },
     #[command(external_subcommand)]
     Ffgs(Vec<String>),
 }
@@ -127,7 +131,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
-        Command::Ci => ci::run(&root)?,
+        Command::Ci { only } => ci::run(&root, &only)?,
     }
     Ok(ExitCode::SUCCESS)
 }
