@@ -74,28 +74,27 @@ Examples:
 `cargo xtask run --help` lists every option of the run.";
 
 const MONACO_HELP: &str = "\
-The first call makes a virtual environment below the target folder (Python 3.11, Blender's module bpy and
-Snakemake: about 400 MB to download, 1.3 GB on disk). No display and no GPU are needed.
+The first call makes a virtual environment below the target folder: Python 3.11, Blender's
+module and Snakemake, 400 MB to download and 1.3 GB on disk. No display and no GPU are needed.
 
 A capture, step by step:
-  cargo xtask monaco sections                                        what can be rendered
+  cargo xtask monaco sections                           what can be rendered
   cargo xtask monaco make --out out/pool --section pool --weather rain
-                                                                     a complete small capture
-  cargo xtask monaco check out/pool                                  verify it; prints figures
-  cargo xtask monaco tracks out/pool                                 add the outputs of three trackers
-  cargo xtask monaco sheet out/pool out/pool.jpg                     look at it
-  cargo xtask pipeline out/pool --out out/pool-run                   reconstruct it
+                                                        a complete small capture
+  cargo xtask monaco check out/pool                     verify it and print figures
+  cargo xtask monaco tracks out/pool                    add the outputs of three trackers
+  cargo xtask monaco sheet out/pool pool.jpg            look at it
+  cargo xtask pipeline out/pool --out out/pool-run      reconstruct it
 
-More of it:
-  cargo xtask monaco make --out DIR --scale small --section tunnel   mini, small or full
-  cargo xtask monaco make --out DIR --frames 4 --trackside 24 --res 320x180 --samples 24
-                                                                     any number instead of the scale's
-  cargo xtask monaco make --out DIR --weather fog --truth-from out/day
-                                                                     the same pass in another light
-  cargo xtask monaco farm --out DIR --scale full --cores 16          shards over worker processes
-  cargo xtask monaco COMMAND --help                                  every option
+Other sizes:
+  ... make --out DIR --scale small --section tunnel     the scales are mini, small and full
+  ... make --out DIR --frames 4 --trackside 24 --res 320x180 --samples 24
+                                                        any number instead of the scale's
+  ... make --out DIR --weather fog --truth-from out/day the same pass in another light
+  ... farm --out DIR --scale full --cores 16            shards over worker processes
+  ... COMMAND --help                                    every option
 
-An interrupted command goes on where it stopped when it is given again: files that exist are not made again.";
+A command that was interrupted goes on when it is given again: files that exist are kept.";
 
 #[derive(Subcommand)]
 enum FixturesAction {
