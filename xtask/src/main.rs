@@ -157,6 +157,10 @@ mod tests {
         let cli = Cli::try_parse_from(["x", "monaco", "make", "--out", "o", "--help"]).unwrap();
         let Command::Monaco { args } = cli.command else { panic!("not the generator") };
         assert_eq!(args, ["make", "--out", "o", "--help"]);
+        let cli =
+            Cli::try_parse_from(["x", "monaco", "farm", "--out", "o", "--", "--executor", "e"]).unwrap();
+        let Command::Monaco { args } = cli.command else { panic!("not the generator") };
+        assert_eq!(args, ["farm", "--out", "o", "--", "--executor", "e"]);
     }
 
     #[test]
