@@ -1,5 +1,6 @@
 //! `cargo xtask ci`: everything that must pass before a change lands.
 
+use crate::monaco::{Environment, Extent, Pip};
 use crate::{ffgs, fixtures, setup, tidy, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
@@ -9,53 +10,85 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-/// A step returns what its tool printed; an error carries the output to show.
-type Step = (&'static str, fn(&Path) -> Result<String>);
+/// How a step ended that did not fail.
+enum Outcome {
+    /// What its tools printed.
+    Passed(String),
+    /// Why it could not run on this machine.
+    Skipped(String),
+}
 
-const STEPS: [Step; 8] = [
-    ("setup", |_| setup::run().map(|()| String::new())),
+/// An error carries the output to show.
+type Step = (&'static str, fn(&Path) -> Result<Outcome>);
+
+const STEPS: [Step; 10] = [
+    ("setup", |_| passed(setup::run())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
-    ("tidy", |root| tidy::run(root).map(|()| String::new())),
-    ("fixtures", fixtures::check),
+    ("tidy", |root| passed(tidy::run(root))),
+    ("fixtures", |root| fixtures::check(root).map(Outcome::Passed)),
     ("tests", tests),
     ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
     ("main job", main_job),
+    ("generator", generator),
+    ("rendering", rendering),
 ];
 
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
 
-/// Runs the steps in order, stops at the first failure, and closes with the test count.
-pub fn run(root: &Path) -> Result<()> {
+/// Runs the steps in order, or only the named ones; stops at the first failure and closes with the test count.
+pub fn run(root: &Path, only: &[String]) -> Result<()> {
+    let steps = chosen(only)?;
     let mut rows = Vec::new();
+    let mut skipped = Vec::new();
     let mut tally = Tally::default();
-    for (name, step) in STEPS {
+    for (name, step) in steps {
         println!("ci: {name} …");
         let start = Instant::now();
         let result = step(root);
-        rows.push((name, start.elapsed().as_secs_f64(), result.is_ok()));
+        let seconds = start.elapsed().as_secs_f64();
         match result {
-            Ok(output) => tally.add(&output),
+            Ok(Outcome::Passed(output)) => {
+                tally.add(&output);
+                rows.push((name, seconds, "ok"));
+            }
+            Ok(Outcome::Skipped(reason)) => {
+                skipped.push(format!("skipped {name}: {reason}"));
+                rows.push((name, seconds, "skipped"));
+            }
             Err(error) => {
+                rows.push((name, seconds, "FAILED"));
                 println!("{error:#}\n\n{}", table(&rows));
                 bail!("ci stopped at `{name}`; its output is above");
             }
         }
     }
-    ensure!(tally.passed > 0, "no test ran");
-    println!("\n{}\n{} passed, {} failed", table(&rows), tally.passed, tally.failed);
+    ensure!(tally.passed > 0 || !only.is_empty(), "no test ran");
+    println!("\n{}", table(&rows));
+    skipped.iter().for_each(|line| println!("{line}"));
+    println!("{} passed, {} failed", tally.passed, tally.failed);
     Ok(())
 }
 
-fn table(rows: &[(&str, f64, bool)]) -> String {
-    let line = |&(name, seconds, ok): &(&str, f64, bool)| {
-        format!("{name:<10} {seconds:>8.1} s  {}", if ok { "ok" } else { "FAILED" })
-    };
+fn chosen(only: &[String]) -> Result<Vec<Step>> {
+    let names: Vec<&str> = STEPS.iter().map(|step| step.0).collect();
+    if let Some(unknown) = only.iter().find(|name| !names.contains(&name.as_str())) {
+        bail!("no step `{unknown}`; there are: {}", names.join(", "));
+    }
+    Ok(STEPS.into_iter().filter(|step| only.is_empty() || only.iter().any(|name| name == step.0)).collect())
+}
+
+fn passed(result: Result<()>) -> Result<Outcome> {
+    result.map(|()| Outcome::Passed(String::new()))
+}
+
+fn table(rows: &[(&str, f64, &str)]) -> String {
+    let line = |(name, seconds, end): &(&str, f64, &str)| format!("{name:<10} {seconds:>8.1} s  {end}");
     rows.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
-fn tests(root: &Path) -> Result<String> {
+fn tests(root: &Path) -> Result<Outcome> {
     let nextest = workspace::cargo(root).args(["nextest", "--version"]).output();
     if nextest.is_ok_and(|output| output.status.success()) {
         return cargo(root, &["nextest", "run", "--workspace", "--no-fail-fast"]);
@@ -64,7 +97,7 @@ fn tests(root: &Path) -> Result<String> {
 }
 
 /// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.
-fn main_job(root: &Path) -> Result<String> {
+fn main_job(root: &Path) -> Result<Outcome> {
     let program = ffgs::build(root)?;
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     let out = folder.path().join("run");
@@ -74,7 +107,36 @@ fn main_job(root: &Path) -> Result<String> {
     command.args(["--iterations", "10", "--static-iterations", "5"]);
     let output = captured(&mut command)?;
     check_run(&out).with_context(|| format!("the run wrote no usable result; it printed:\n{output}"))?;
-    Ok(output)
+    Ok(Outcome::Passed(output))
+}
+
+/// Linter and tests of the capture generator that need no Blender; skipped where there is no Python 3.11.
+fn generator(root: &Path) -> Result<Outcome> {
+    let environment = match Environment::open(root) {
+        Ok(environment) => environment,
+        Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
+    };
+    environment.install(Extent::Tests, Pip::IsQuiet)?;
+    captured(environment.python_at_home().args(["-m", "ruff", "check", "."]))?;
+    captured(environment.python_at_home().args(["-m", "ruff", "format", "--check", "."]))?;
+    pytest(&environment, &["-m", "not blender"])
+}
+
+/// One capture of a few tiny frames, rendered and checked; skipped where Blender's module cannot be installed.
+fn rendering(root: &Path) -> Result<Outcome> {
+    let ready = Environment::open(root).and_then(|environment| {
+        environment.install(Extent::Rendering, Pip::IsQuiet)?;
+        Ok(environment)
+    });
+    match ready {
+        Ok(environment) => pytest(&environment, &["tests/test_render.py"]),
+        Err(reason) => Ok(Outcome::Skipped(format!("{reason:#}"))),
+    }
+}
+
+fn pytest(environment: &Environment, args: &[&str]) -> Result<Outcome> {
+    let command = &mut environment.python_at_home();
+    captured(command.args(["-m", "pytest", "--color", "no"]).args(args)).map(Outcome::Passed)
 }
 
 fn check_run(out: &Path) -> Result<()> {
@@ -95,10 +157,10 @@ fn check_metrics(metrics: &Value) -> Result<()> {
     Ok(())
 }
 
-fn cargo(root: &Path, args: &[&str]) -> Result<String> {
+fn cargo(root: &Path, args: &[&str]) -> Result<Outcome> {
     let mut command = workspace::cargo(root);
     // Colour codes would hide the summary lines that are counted.
-    captured(command.args(args).env("CARGO_TERM_COLOR", "never"))
+    captured(command.args(args).env("CARGO_TERM_COLOR", "never")).map(Outcome::Passed)
 }
 
 /// Runs a command; both its streams, in the order written, as the value or inside the error.
@@ -117,7 +179,7 @@ fn captured(command: &mut Command) -> Result<String> {
     Ok(output)
 }
 
-/// Tests counted from the summary lines of nextest and of cargo test.
+/// Tests counted from the summary lines of nextest, cargo test and pytest.
 #[derive(Debug, Default, PartialEq)]
 struct Tally {
     passed: usize,
@@ -128,13 +190,18 @@ impl Tally {
     fn add(&mut self, output: &str) {
         let is_summary = |line: &&str| {
             let line = line.trim_start();
-            line.starts_with("test result:") || line.starts_with("Summary [")
+            ["test result:", "Summary ["].iter().any(|start| line.starts_with(start)) || is_pytest(line)
         };
         for line in output.lines().filter(is_summary) {
             self.passed += number_before(line, "passed");
             self.failed += number_before(line, "failed");
         }
     }
+}
+
+/// `===== 12 passed, 1 deselected in 3.45s =====`
+fn is_pytest(line: &str) -> bool {
+    line.starts_with("==") && line.ends_with("==") && line.contains(" in ")
 }
 
 /// The number in front of a word: `12 passed` holds 12; 0 when the word is absent.
@@ -149,11 +216,23 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn both_runners_are_counted() {
+    fn every_runner_is_counted() {
         let mut tally = Tally::default();
         tally.add("     Summary [   0.004s] 13 tests run: 12 passed (1 slow), 1 failed, 2 skipped\n");
         tally.add("running 2 tests\ntest result: ok. 2 passed; 0 failed; 0 ignored; finished in 0.1s\n");
-        assert_eq!(tally, Tally { passed: 14, failed: 1 });
+        tally.add("==== test session starts ====\n==== 1 failed, 3 passed, 2 deselected in 3.45s ====\n");
+        assert_eq!(tally, Tally { passed: 17, failed: 2 });
+    }
+
+    #[test]
+    fn steps_can_be_chosen_by_name() {
+        let names = |only: &[&str]| {
+            let only: Vec<String> = only.iter().map(|&name| name.to_owned()).collect();
+            chosen(&only).map(|steps| steps.iter().map(|step| step.0).collect::<Vec<_>>())
+        };
+        assert_eq!(names(&[]).unwrap().len(), STEPS.len());
+        assert_eq!(names(&["rendering", "doc tests"]).unwrap(), ["doc tests", "rendering"]);
+        assert!(names(&["docs"]).unwrap_err().to_string().contains("doc tests"));
     }
 
     #[test]
@@ -183,7 +262,7 @@ mod tests {
 
     #[test]
     fn the_table_shows_every_step() {
-        let text = table(&[("format", 1.25, true), ("tests", 100.0, false)]);
+        let text = table(&[("format", 1.25, "ok"), ("tests", 100.0, "FAILED")]);
         assert_eq!(text, "format          1.2 s  ok\ntests         100.0 s  FAILED");
     }
 }

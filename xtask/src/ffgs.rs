@@ -20,7 +20,7 @@ pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
     if status.success() && report.is_file() {
         println!("report: {}", report.display());
     }
-    Ok(exit_code(status))
+    Ok(workspace::exit_code(status))
 }
 
 /// Any other command of the program, with its own arguments.
@@ -30,7 +30,7 @@ pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
         bail!("no command `{name}`; `cargo xtask --help` lists them");
     }
     let program = build(root)?;
-    Ok(exit_code(start(&program, args)?))
+    Ok(workspace::exit_code(start(&program, args)?))
 }
 
 /// Builds the release binary and returns its path.
@@ -48,21 +48,11 @@ pub fn build(root: &Path) -> Result<PathBuf> {
 
 /// Where the release binary lies.
 pub fn binary(root: &Path) -> PathBuf {
-    let target =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir));
-    target.join("release").join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
+    workspace::target(root).join("release").join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
 }
 
 fn start(program: &Path, args: &[String]) -> Result<ExitStatus> {
     Command::new(program).args(args).status().with_context(|| format!("cannot start {}", program.display()))
-}
-
-fn exit_code(status: ExitStatus) -> ExitCode {
-    if status.success() {
-        return ExitCode::SUCCESS;
-    }
-    // Killed by a signal: no code of its own.
-    ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
 /// The root as a person in the current folder would write it: empty when they are in it.

@@ -3,6 +3,7 @@
 mod ci;
 mod ffgs;
 mod fixtures;
+mod monaco;
 mod setup;
 mod tidy;
 mod workspace;
@@ -38,6 +39,13 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         args: Vec<String>,
     },
+    /// Render captures of racing cars on a street circuit, with exact ground truth.
+    #[command(after_help = MONACO_HELP)]
+    Monaco {
+        /// A command of the generator and its options; without any, their list.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+        args: Vec<String>,
+    },
     /// Install the Debian packages the project needs; does nothing when they are there.
     Setup,
     /// Check the project's own rules: crate edges, file sizes, names, leftovers, whitespace.
@@ -48,7 +56,11 @@ enum Command {
         action: FixturesAction,
     },
     /// Run everything that must pass before a change lands; stops at the first failure.
-    Ci,
+    Ci {
+        /// Only these steps, by the names that the table at the end shows.
+        #[arg(value_name = "STEP")]
+        only: Vec<String>,
+    },
     #[command(external_subcommand)]
     Ffgs(Vec<String>),
 }
@@ -60,6 +72,29 @@ Examples:
   cargo xtask pipeline --frames 0..3 --iterations 100   the sample, but less work
   cargo xtask pipeline --resume                         go on after an interruption
 `cargo xtask run --help` lists every option of the run.";
+
+const MONACO_HELP: &str = "\
+The first call makes a virtual environment below the target folder: Python 3.11, Blender's
+module and Snakemake, 400 MB to download and 1.3 GB on disk. No display and no GPU are needed.
+
+A capture, step by step:
+  cargo xtask monaco sections                           what can be rendered
+  cargo xtask monaco make --out out/pool --section pool --weather rain
+                                                        a complete small capture
+  cargo xtask monaco check out/pool                     verify it and print figures
+  cargo xtask monaco tracks out/pool                    add the outputs of three trackers
+  cargo xtask monaco sheet out/pool pool.jpg            look at it
+  cargo xtask pipeline out/pool --out out/pool-run      reconstruct it
+
+Other sizes:
+  ... make --out DIR --scale small --section tunnel     the scales are mini, small and full
+  ... make --out DIR --frames 4 --trackside 24 --res 320x180 --samples 24
+                                                        any number instead of the scale's
+  ... make --out DIR --weather fog --truth-from out/day the same pass in another light
+  ... farm --out DIR --scale full --cores 16            shards over worker processes
+  ... COMMAND --help                                    every option
+
+A command that was interrupted goes on when it is given again: files that exist are kept.";
 
 #[derive(Subcommand)]
 enum FixturesAction {
@@ -86,6 +121,7 @@ fn run(command: Command) -> Result<ExitCode> {
             setup::run()?;
             return ffgs::pipeline(&root, args);
         }
+        Command::Monaco { args } => return monaco::run(&root, &args),
         Command::Ffgs(args) => return ffgs::pass_through(&root, &args),
         Command::Setup => setup::run()?,
         Command::Tidy => {
@@ -94,7 +130,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
-        Command::Ci => ci::run(&root)?,
+        Command::Ci { only } => ci::run(&root, &only)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -114,6 +150,17 @@ mod tests {
         let cli = Cli::try_parse_from(["x", "pipeline", "cap", "--out", "o", "--frames", "0..2"]).unwrap();
         let Command::Pipeline { args } = cli.command else { panic!("not the pipeline command") };
         assert_eq!(args, ["cap", "--out", "o", "--frames", "0..2"]);
+    }
+
+    #[test]
+    fn monaco_hands_every_option_on() {
+        let cli = Cli::try_parse_from(["x", "monaco", "make", "--out", "o", "--help"]).unwrap();
+        let Command::Monaco { args } = cli.command else { panic!("not the generator") };
+        assert_eq!(args, ["make", "--out", "o", "--help"]);
+        let cli =
+            Cli::try_parse_from(["x", "monaco", "farm", "--out", "o", "--", "--executor", "e"]).unwrap();
+        let Command::Monaco { args } = cli.command else { panic!("not the generator") };
+        assert_eq!(args, ["farm", "--out", "o", "--", "--executor", "e"]);
     }
 
     #[test]

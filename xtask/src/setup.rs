@@ -17,7 +17,11 @@ const REQUIREMENTS: [Requirement; 1] = [Requirement { program: "cc", package: "b
 pub fn run() -> Result<()> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders: Vec<_> = std::env::split_paths(&path).collect();
-    let packages = missing(&REQUIREMENTS, |program| folders.iter().any(|f| f.join(program).is_file()));
+    install(&missing(&REQUIREMENTS, |program| folders.iter().any(|f| f.join(program).is_file())))
+}
+
+/// Installs Debian packages where that is possible, otherwise says how to.
+pub fn install(packages: &[&str]) -> Result<()> {
     if packages.is_empty() {
         return Ok(());
     }
@@ -32,9 +36,9 @@ pub fn run() -> Result<()> {
     };
     println!("installing: {list}");
     apt_get(prefix, &["update", "--quiet"])?;
-    let mut install = vec!["install", "--yes", "--no-install-recommends"];
-    install.extend(packages);
-    apt_get(prefix, &install)
+    let mut words = vec!["install", "--yes", "--no-install-recommends"];
+    words.extend(packages);
+    apt_get(prefix, &words)
 }
 
 fn missing(requirements: &[Requirement], present: impl Fn(&str) -> bool) -> Vec<&'static str> {

@@ -1,14 +1,28 @@
-//! Where the workspace lies, and its files as git sees them.
+//! Where the workspace and what is built of it lie, its files as git sees them, and exit codes handed on.
 
 use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, ExitCode, ExitStatus};
 
 /// The workspace's root folder. Cargo sets `CARGO_MANIFEST_DIR` when it runs xtask.
 pub fn root() -> Result<PathBuf> {
     let xtask = std::env::var_os("CARGO_MANIFEST_DIR")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
     Ok(xtask.parent().context("xtask's folder has no parent")?.to_path_buf())
+}
+
+/// Where cargo builds.
+pub fn target(root: &Path) -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir))
+}
+
+/// The exit code of a program that was run, as one's own.
+pub fn exit_code(status: ExitStatus) -> ExitCode {
+    if status.success() {
+        return ExitCode::SUCCESS;
+    }
+    // Killed by a signal: no code of its own.
+    ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
 /// The cargo that runs xtask, started in the workspace's root.
