@@ -107,6 +107,40 @@ pub fn discover(previous: &[DVec3], evidence: &Evidence, config: &GroupsConfig) 
     search.assign(groups)
 }
 
+/// Objects that lie apart from each other: (N) a number for each, by the connected cells of the cloud (m).
+pub fn spatial_objects(places: &[DVec3], config: &GroupsConfig) -> Vec<u32> {
+    let cells = Cells::new(places, config.cell.max(places.len().div_ceil(config.max_cells.max(1))));
+    let adjacent = adjacency(&boxes(places, &cells), config.reach);
+    let mut objects = vec![0; places.len()];
+    let mut open = vec![true; adjacent.len()];
+    for (number, component) in std::iter::from_fn(|| next_component(&adjacent, &mut open)).enumerate() {
+        for i in component.iter().flat_map(|&c| cells.members(&cells.leaves[c])) {
+            objects[*i] = number as u32;
+        }
+    }
+    objects
+}
+
+/// The connected set around the first open cell, which it closes.
+fn next_component(adjacent: &[Vec<usize>], open: &mut [bool]) -> Option<Vec<usize>> {
+    let seed = open.iter().position(|&o| o)?;
+    open[seed] = false;
+    let (mut component, mut next) = (vec![seed], 0);
+    while let Some(&cell) = component.get(next) {
+        next += 1;
+        for &other in &adjacent[cell] {
+            if std::mem::replace(&mut open[other], false) {
+                component.push(other);
+            }
+        }
+    }
+    Some(component)
+}
+
+fn boxes(places: &[DVec3], cells: &Cells) -> Vec<(DVec3, DVec3)> {
+    cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| places[i]))).collect()
+}
+
 /// A cell's own motion.
 struct Voter {
     centre: DVec3,
@@ -200,8 +234,7 @@ impl<'a> Search<'a> {
                 .flatten()
                 .map(|f| (range.clone(), f.motion))
         };
-        let boxes: Vec<(DVec3, DVec3)> =
-            cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| previous[i]))).collect();
+        let boxes = boxes(previous, cells);
         let mut voters: Vec<Option<Voter>> = cells.leaves.par_iter().map(voter).collect();
         let proposals: Vec<Proposal> = cells.nodes.par_iter().filter_map(proposal).collect();
         // Few estimates that happen to agree, or share their error, are no surer than those of other cells.
@@ -251,24 +284,8 @@ impl<'a> Search<'a> {
             free[c] && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < self.explained_below())
         };
         let mut open: Vec<bool> = (0..free.len()).map(agrees).collect();
-        let mut best = Vec::new();
-        for seed in 0..open.len() {
-            if !std::mem::replace(&mut open[seed], false) {
-                continue;
-            }
-            let (mut component, mut next) = (vec![seed], 0);
-            while let Some(&cell) = component.get(next) {
-                next += 1;
-                for &other in &self.adjacent[cell] {
-                    if std::mem::replace(&mut open[other], false) {
-                        component.push(other);
-                    }
-                }
-            }
-            if component.len() > best.len() {
-                best = component;
-            }
-        }
+        let components = std::iter::from_fn(|| next_component(&self.adjacent, &mut open));
+        let mut best = components.fold(Vec::new(), |best, c| if c.len() > best.len() { c } else { best });
         best.sort_unstable();
         best
     }

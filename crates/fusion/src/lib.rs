@@ -45,7 +45,7 @@ mod validation;
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
 pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance};
-pub use groups::{Group, GroupsConfig};
+pub use groups::{Group, GroupsConfig, spatial_objects};
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use rigid::{RigidMotion, fit_rigid};
 pub use validation::{ViewCounts, count_views, dynamic_split, second_chance, validate};

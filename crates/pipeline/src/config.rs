@@ -85,11 +85,26 @@ pub struct AssociationConfig {
     pub min_coverage: f32,
     /// Least number of pixels.
     pub min_hits: u32,
+    /// What turns with the rigid motion.
+    pub rotate: Rotate,
+}
+
+/// What turns with the rigid motion of a Gaussian's group at initialisation; the paper moves positions only.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rotate {
+    /// Nothing (literal).
+    Nothing,
+    /// The splat.
+    Splat,
+    /// The splat and the directions of its colour.
+    #[default]
+    SplatAndColour,
 }
 
 impl Default for AssociationConfig {
     fn default() -> Self {
-        Self { flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 }
+        Self { flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2, rotate: Rotate::default() }
     }
 }
 

@@ -17,3 +17,4 @@ pub mod run;
 mod scoring;
 pub mod stage;
 mod state;
+mod turn;

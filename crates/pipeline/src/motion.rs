@@ -3,13 +3,14 @@
 use crate::cli::Init;
 use crate::config::Config;
 use crate::frame::TrainViews;
+use crate::turn::turn;
 use anyhow::Result;
 use ffgs_core::{
     Camera, DenseMotion, EstimateStatus, Estimates, Gaussians, ImageSize, Mask, Observations, ViewMotion,
 };
 use ffgs_fusion::{
-    DensifyConfig, FusionInput, InformationFuser, MotionFuser, apply_densification, count_views,
-    plan_densification, second_chance, validate,
+    DensifyConfig, FusionInput, InformationFuser, MotionFuser, ProcessNoise, apply_densification, count_views,
+    plan_densification, second_chance, spatial_objects, validate,
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, TileMask, View};
 use ffgs_report::StageSeconds;
@@ -17,7 +18,7 @@ use ffgs_tracks::TrackStore;
 use ffgs_trainer::TrainingView;
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{agreement, densify_view};
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -30,6 +31,8 @@ pub struct Dynamic {
     pub covariances: Vec<DMat3>,
     /// Process noise of the last fused frame (m).
     pub q: f64,
+    /// Steps of the last initialisation (m); empty before the first.
+    pub steps: Vec<DVec3>,
 }
 
 /// What a frame's initialisation needs besides the layer itself.
@@ -284,32 +287,32 @@ pub fn fuse(
     let mut pixel_m = pixel_sizes(&outcome.previous, input.before);
     pixel_m.sort_by(f64::total_cmp);
     let fuser = InformationFuser { config: input.config.fusion };
+    let objects = match input.config.fusion.q_mode {
+        ProcessNoise::Global => None,
+        ProcessNoise::PerObject => Some(spatial_objects(&outcome.previous, &input.config.fusion.groups)),
+    };
+    let standing = vec![DVec3::ZERO; outcome.previous.len()];
+    let steps = if dynamic.steps.len() == standing.len() { &dynamic.steps } else { &standing };
     let fused = fuser.fuse(&FusionInput {
         prior_means: &outcome.previous,
         prior_covariances: &dynamic.covariances,
         estimates,
-        previous_steps: None,
-        groups: None,
+        previous_steps: Some(steps),
+        groups: objects.as_deref(),
         last_q: dynamic.q,
         q_floor_m: 0.25 * pixel_m.get(pixel_m.len() / 2).copied().unwrap_or(0.01),
     })?;
     let g = &mut dynamic.gaussians;
-    for (i, mean) in fused.means.iter().enumerate() {
-        g.means[i] = mean.as_vec3().to_array();
-        g.quats[i] = rotated(fused.rotations.get(i), g.quats[i]);
-    }
+    g.means.iter_mut().zip(&fused.means).for_each(|(place, mean)| *place = mean.as_vec3().to_array());
+    turn(g, &fused.rotations, input.config.association.rotate);
+    dynamic.steps = fused.means.iter().zip(&outcome.previous).map(|(now, before)| *now - *before).collect();
+    let left = fused.group_of.iter().filter(|g| g.is_none()).count();
+    outcome.skip("Gaussians that follow their neighbours rather than a rigid group".into(), left);
     outcome.skip("Gaussians that no tracker measured".into(), fused.measured.iter().filter(|m| !**m).count());
     dynamic.covariances = fused.covariances;
     dynamic.q = fused.q;
     add_seconds(&mut outcome.seconds.fusion, start);
     Ok(())
-}
-
-/// A splat's quaternion (w, x, y, z) turned.
-pub fn rotated(rotation: Option<&DQuat>, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
-    let Some(rotation) = rotation else { return [w, x, y, z] };
-    let q = rotation.as_quat() * glam::Quat::from_xyzw(x, y, z, w);
-    [q.w, q.x, q.y, q.z]
 }
 
 /// Lines 35 to 40: who left the masks gets one second chance beside its neighbours, then goes.
@@ -330,6 +333,7 @@ fn validate_positions(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut 
     }
     dynamic.gaussians = dynamic.gaussians.select(&kept);
     dynamic.covariances = kept.iter().map(|&i| dynamic.covariances[i]).collect();
+    dynamic.steps = kept.iter().map(|&i| means[i] - outcome.previous[i]).collect();
     outcome.previous = kept.iter().map(|&i| outcome.previous[i]).collect();
     add_seconds(&mut outcome.seconds.validation, start);
     Ok(())
@@ -352,6 +356,7 @@ fn densify(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut MotionOutco
     let plan = plan_densification(&dynamic.gaussians, &dynamic.covariances, &pixel_m, config);
     let seed = input.config.seed ^ (input.frame as u64) << 32;
     apply_densification(&mut dynamic.gaussians, &mut dynamic.covariances, &plan, seed);
+    dynamic.steps.extend(plan.iter().map(|p| dynamic.steps[p.0]).collect::<Vec<_>>());
     outcome.previous.extend(plan.iter().map(|p| outcome.previous[p.0]).collect::<Vec<_>>());
     add_seconds(&mut outcome.seconds.fusion, start);
 }

@@ -257,7 +257,7 @@ fn carry(gaussians: &mut Gaussians, i: usize, motion: &DAffine3) {
     let place = DVec3::from_array(gaussians.means[i].map(f64::from));
     gaussians.means[i] = motion.transform_point3(place).as_vec3().to_array();
     let rotation = glam::DQuat::from_mat3(&motion.matrix3);
-    gaussians.quats[i] = crate::motion::rotated(Some(&rotation), gaussians.quats[i]);
+    gaussians.quats[i] = crate::turn::turned(rotation, gaussians.quats[i]);
 }
 
 struct Scorer<'a> {

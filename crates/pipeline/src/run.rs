@@ -176,7 +176,7 @@ impl<'a> Job<'a> {
         let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
         let axes = gaussians.log_scales.iter().map(smallest);
         let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
-        let dynamic = Dynamic { gaussians, covariances, q: 0.0 };
+        let dynamic = Dynamic { gaussians, covariances, ..Dynamic::default() };
         Ok(Layers { static_layer: all.select(&indices(false)), dynamic, sky })
     }
 

@@ -17,6 +17,7 @@ pub fn save(path: &Path, frame: usize, layers: &Layers) -> Result<()> {
         sky_face_size: layers.sky.face_size(),
         sky: layers.sky.texels.as_flattened().to_vec(),
         q: layers.dynamic.q,
+        dynamic_steps: layers.dynamic.steps.clone(),
         ..FrameState::default()
     };
     Ok(save_checkpoint(path, &state)?)
@@ -36,7 +37,11 @@ pub fn load(path: &Path) -> Result<Layers> {
     }
     let mut sky = SkyCube::filled(state.sky_face_size, [0.0; 3]);
     sky.texels = texels;
-    let dynamic =
-        Dynamic { gaussians: state.dynamic_layer, covariances: state.dynamic_covariances, q: state.q };
+    let dynamic = Dynamic {
+        gaussians: state.dynamic_layer,
+        covariances: state.dynamic_covariances,
+        q: state.q,
+        steps: state.dynamic_steps,
+    };
     Ok(Layers { static_layer: state.static_layer, dynamic, sky })
 }

@@ -4,13 +4,14 @@ use crate::bytes::{Cursor, put_f32s, put_f64s, put_text, put_u64};
 use crate::error::InFile;
 use crate::{Problem, SplatError};
 use ffgs_core::{Gaussians, write_atomically};
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-const VERSION: u32 = 1;
+/// 2 added the last steps; 1 is still read.
+const VERSION: u32 = 2;
 const HEAD: usize = 20;
 const CHECKSUM: usize = 4;
 
@@ -32,6 +33,8 @@ pub struct FrameState {
     pub sky: Vec<f32>,
     /// Process noise of the last fused frame (m).
     pub q: f64,
+    /// Last steps of the dynamic layer (m), for a prior of constant velocity; empty when unknown.
+    pub dynamic_steps: Vec<DVec3>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -56,10 +59,11 @@ pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError
 /// Reads a checkpoint; a truncated or altered file, or one of another version, is an error.
 pub fn load_checkpoint(path: &Path) -> Result<FrameState, SplatError> {
     let bytes = std::fs::read(path).in_file(path)?;
-    payload(&bytes).and_then(decode).in_file(path)
+    payload(&bytes).and_then(|(version, payload)| decode(version, payload)).in_file(path)
 }
 
-fn payload(bytes: &[u8]) -> Result<&[u8], Problem> {
+/// Version and payload of a file.
+fn payload(bytes: &[u8]) -> Result<(u32, &[u8]), Problem> {
     if !bytes.starts_with(MAGIC) {
         return Err(Problem::Header("this is not a checkpoint".into()));
     }
@@ -68,9 +72,9 @@ fn payload(bytes: &[u8]) -> Result<&[u8], Problem> {
     let (head, payload) = body.split_at_checked(HEAD).ok_or_else(short)?;
     let mut cursor = Cursor(&head[MAGIC.len() + 4..]);
     let version = &head[MAGIC.len()..MAGIC.len() + 4];
-    if version != VERSION.to_le_bytes() {
-        return Err(Problem::Header(format!("checkpoint version {version:?} is not {VERSION}")));
-    }
+    let known = (1..=VERSION).find(|v| v.to_le_bytes() == version);
+    let version =
+        known.ok_or_else(|| Problem::Header(format!("checkpoint version {version:?} is not 1 to {VERSION}")))?;
     let length = cursor.u64()?;
     if length != payload.len() as u64 {
         return Err(Problem::Truncated(format!("{} of {length} payload bytes", payload.len())));
@@ -78,7 +82,7 @@ fn payload(bytes: &[u8]) -> Result<&[u8], Problem> {
     if crc32fast::hash(body).to_le_bytes() != *checksum {
         return Err(Problem::Corrupt("the checksum differs".into()));
     }
-    Ok(payload)
+    Ok((version, payload))
 }
 
 fn encode(state: &FrameState) -> Vec<u8> {
@@ -102,6 +106,8 @@ fn encode(state: &FrameState) -> Vec<u8> {
         put_text(&mut out, name);
         put_u64(&mut out, value);
     }
+    put_u64(&mut out, state.dynamic_steps.len() as u64);
+    state.dynamic_steps.iter().for_each(|s| put_f64s(&mut out, &s.to_array()));
     out
 }
 
@@ -115,7 +121,7 @@ fn put_layer(out: &mut Vec<u8>, layer: &Gaussians) {
     put_f32s(out, layer.sh.as_flattened());
 }
 
-fn decode(payload: &[u8]) -> Result<FrameState, Problem> {
+fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     let mut cursor = Cursor(payload);
     let frame = cursor.u64()?;
     let static_layer = layer(&mut cursor)?;
@@ -128,6 +134,8 @@ fn decode(payload: &[u8]) -> Result<FrameState, Problem> {
     let q = cursor.f64()?;
     let reals = named(&mut cursor, Cursor::f64)?;
     let integers = named(&mut cursor, Cursor::u64)?;
+    let steps = if version >= 2 { cursor.length()? } else { 0 };
+    let dynamic_steps = cursor.f64_rows::<3>(steps)?.into_iter().map(DVec3::from_array).collect();
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -139,6 +147,7 @@ fn decode(payload: &[u8]) -> Result<FrameState, Problem> {
         sky_face_size,
         sky,
         q,
+        dynamic_steps,
         reals,
         integers,
     })

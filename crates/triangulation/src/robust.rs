@@ -13,17 +13,20 @@ pub struct Scales {
 
 /// Iterations of the soft re-weighting; it only has to land in the basin of the inliers.
 const SOFT_STEPS: usize = 6;
+/// So many views do not agree by chance when they are three quarters of all.
+const SURE: usize = 5;
 /// Pairs of views tried when the re-weighted solution still has outliers. With 15 % outliers 72 % of pairs are clean.
 const MAX_PAIRS: usize = 36;
 
 /// A point near the views that agree with each other, from `start`.
 ///
-/// Soft re-weighting first; when any view remains beyond the cut, the intersections of pairs of views compete with it
-/// on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
+/// Soft re-weighting first; when too many views remain beyond the cut, the intersections of pairs of views compete with
+/// it on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
 pub fn locate(views: &[View], start: DVec3, scales: Scales) -> DVec3 {
     let soft = soften(views, start, scales.soft);
     let cut2 = scales.cut * scales.cut;
-    if views.len() < 3 || views.iter().all(|v| v.error_squared(soft) <= cut2) {
+    let agreeing = views.iter().filter(|v| v.error_squared(soft) <= cut2).count();
+    if views.len() < 3 || agreeing == views.len() || (agreeing >= SURE && 4 * agreeing >= 3 * views.len()) {
         return soft;
     }
     let mut best = (truncated_cost(views, soft, cut2), soft);

@@ -35,10 +35,12 @@ pub fn solve(
     if views.iter().any(|v| !(v.depth(start) > 0.0)) {
         return Err(EstimateStatus::BehindCamera);
     }
-    let mut point = refine(views, start, config);
-    if config.robust {
-        point = settle(views, point, config, scales)?;
-    }
+    let point = if config.robust {
+        let rough = refine(views, start, config, ROUGH);
+        settle(views, rough, config, scales)?
+    } else {
+        refine(views, start, config, CONVERGED)
+    };
     let solution = summarise(views, point, config)?;
     Ok(drop_collinear(views, solution, config))
 }
@@ -79,9 +81,9 @@ fn settle(
             return Err(EstimateStatus::Residual);
         }
         views.swap_remove(worst);
-        point = refine(views, point, config);
+        point = refine(views, point, config, ROUGH);
     }
-    Ok(point)
+    Ok(refine(views, point, config, CONVERGED))
 }
 
 fn worst_beyond(views: &[View], point: DVec3, cut2: f64) -> Option<usize> {
@@ -90,9 +92,9 @@ fn worst_beyond(views: &[View], point: DVec3, cut2: f64) -> Option<usize> {
 }
 
 /// The least-squares point of the given views, from `start`.
-fn refine(views: &[View], start: DVec3, config: &TriangulationConfig) -> DVec3 {
+fn refine(views: &[View], start: DVec3, config: &TriangulationConfig, tolerance: f64) -> DVec3 {
     if config.refine {
-        return gauss_newton(views, start);
+        return gauss_newton(views, start, tolerance);
     }
     let again = if config.depth_weighting {
         rays::solve(views, |v| rays::pixels_per_metre_squared(v, start))
@@ -106,9 +108,11 @@ fn refine(views: &[View], start: DVec3, config: &TriangulationConfig) -> DVec3 {
 const MAX_STEPS: usize = 20;
 /// Relative step (of the distance to the cameras) at which the iteration has converged.
 const CONVERGED: f64 = 1e-12;
+/// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
+const ROUGH: f64 = 1e-6;
 
 /// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt).
-fn gauss_newton(views: &[View], start: DVec3) -> DVec3 {
+fn gauss_newton(views: &[View], start: DVec3, tolerance: f64) -> DVec3 {
     let scale = views.iter().map(|v| v.center.length()).fold(0.0, f64::max);
     let (mut point, mut damping) = (start, 0.0);
     let mut cost = reprojection_cost(views, point);
@@ -119,10 +123,10 @@ fn gauss_newton(views: &[View], start: DVec3) -> DVec3 {
             point += step;
             cost = next;
             damping = if damping > 1e-6 { damping * 0.1 } else { 0.0 };
-            if step.length() <= CONVERGED * scale {
+            if step.length() <= tolerance * scale {
                 break;
             }
-        } else if step.length() <= CONVERGED * scale {
+        } else if step.length() <= tolerance * scale {
             break;
         } else {
             damping = (damping * 10.0).max(1e-3);
@@ -191,6 +195,6 @@ fn drop_collinear(views: &mut Vec<View>, solution: Solution, config: &Triangulat
     }
     views.retain(kept);
     // Fewer views may no longer fix the point; then the solution with all of them stands.
-    let point = refine(views, solution.step, config);
+    let point = refine(views, solution.step, config, CONVERGED);
     summarise(views, point, config).unwrap_or(solution)
 }
