@@ -125,7 +125,7 @@ impl InformationFuser {
             let precision = precision * (scale * shared).recip();
             let r = mean - prior.mean;
             let expected = symmetric_inverse(precision) + prior.covariance;
-            let weight = if prior.left { 1.0 } else { robust_weight(r.dot(symmetric_inverse(expected) * r)) };
+            let weight = if prior.free { 1.0 } else { robust_weight(r.dot(symmetric_inverse(expected) * r)) };
             information += precision * weight;
             vector += precision * r * weight;
         }

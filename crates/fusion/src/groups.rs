@@ -29,8 +29,6 @@ pub struct GroupsConfig {
     pub max_groups: usize,
     /// Gaussians a group's motion is fitted to at most.
     pub sample: usize,
-    /// Neighbouring estimates that share one error: 64 Gaussians of a cell count as 64 / this many.
-    pub correlated: f64,
     /// Squared Mahalanobis distance beyond which evidence contradicts a motion; 11.3 is the 99 % point.
     pub leave: f64,
     /// Cells nearer than this many typical cell diagonals are connected.
@@ -48,10 +46,9 @@ impl Default for GroupsConfig {
             min_cells: 3,
             max_groups: 32,
             sample: 4096,
-            correlated: 4.0,
             leave: 11.3,
             reach: 1.5,
-            patches: 8.0,
+            patches: 6.0,
         }
     }
 }
@@ -67,6 +64,8 @@ pub struct Group {
     pub scales: Vec<f64>,
     /// Variance per axis of the cells' own motions about the group's (m^2).
     pub spread: f64,
+    /// Variance per axis by which the group deforms (m^2); 0 when its cells scatter no more than tracker errors do.
+    pub deformation: f64,
     /// Cells that found the group.
     pub cells: usize,
 }
@@ -149,11 +148,15 @@ struct Voter {
     covariance: DMat3,
     information: DMat3,
     weight: f64,
-    /// Mean factor on the trackers' covariances within the cell.
-    scale: f64,
+    /// Per tracker: factor on its covariances within the cell.
+    scales: Vec<f64>,
 }
 
 impl Voter {
+    fn scale(&self) -> f64 {
+        self.scales.iter().sum::<f64>() / self.scales.len().max(1) as f64
+    }
+
     fn inflate(&mut self, factor: f64) {
         self.covariance *= factor;
         self.information *= factor.recip();
@@ -173,6 +176,8 @@ struct Search<'a> {
     /// One a cell; `None` where too little was measured.
     voters: Vec<Option<Voter>>,
     proposals: Vec<RigidMotion>,
+    /// What each proposal explains of each cell: its weight, less the more it disagrees.
+    gains: Vec<Vec<f64>>,
     /// Cells near each cell.
     adjacent: Vec<Vec<usize>>,
     centres: Vec<DVec3>,
@@ -217,14 +222,14 @@ impl<'a> Search<'a> {
         };
         let voter = |range: &std::ops::Range<usize>| {
             let fit = fit(cells.members(range), usize::MAX)?;
-            let of_motion = fit.information.cholesky()?.inverse() * config.correlated;
+            let of_motion = fit.information.cholesky()?.inverse();
             let covariance = place_covariance(&of_motion, DVec3::ZERO);
             let centre = fit.motion.centre;
             let place = fit.motion.apply(centre);
             let information = symmetric_inverse(covariance);
             let weight = range.len() as f64;
-            let scale = fit.scales.iter().sum::<f64>() / fit.scales.len() as f64;
-            information.is_finite().then_some(Voter { centre, place, covariance, information, weight, scale })
+            let scales = fit.scales;
+            information.is_finite().then_some(Voter { centre, place, covariance, information, weight, scales })
         };
         let largest = cells.leaves.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
         let proposal = |range: &std::ops::Range<usize>| {
@@ -239,37 +244,33 @@ impl<'a> Search<'a> {
         let proposals: Vec<Proposal> = cells.nodes.par_iter().filter_map(proposal).collect();
         // Few estimates that happen to agree, or share their error, are no surer than those of other cells.
         let typical =
-            median(&mut voters.iter().flatten().map(|v| v.scale).collect::<Vec<_>>()).unwrap_or(1.0);
-        voters.iter_mut().flatten().for_each(|v| v.inflate((typical / v.scale).max(1.0)));
+            median(&mut voters.iter().flatten().map(Voter::scale).collect::<Vec<_>>()).unwrap_or(1.0);
+        voters.iter_mut().flatten().for_each(|v| v.inflate((typical / v.scale()).max(1.0)));
         let noise = shared_noise(&cells.leaves, &voters, &proposals);
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
+        let proposals: Vec<RigidMotion> = proposals.into_iter().map(|p| p.1).collect();
+        let gain = |voter: &Option<Voter>, motion: &RigidMotion| {
+            let share = |v: &Voter| v.weight * (1.0 - v.distance(motion) / (EXPLAINED * config.leave)).max(0.0);
+            voter.as_ref().map_or(0.0, share)
+        };
+        let gains = proposals.par_iter().map(|m| voters.iter().map(|v| gain(v, m)).collect()).collect();
         Self {
             previous,
             evidence,
             config,
             cells,
             voters,
-            proposals: proposals.into_iter().map(|p| p.1).collect(),
+            proposals,
+            gains,
             adjacent: adjacency(&boxes, config.reach),
             centres: boxes.iter().map(|b| (b.0 + b.1) * 0.5).collect(),
         }
     }
 
-    /// Squared Mahalanobis distance up to which a cell agrees with a motion; cells err together, so this is generous.
-    fn explained_below(&self) -> f64 {
-        2.0 * self.config.leave
-    }
-
     /// The connected cells that a proposal explains best, among the free ones, and the motion fitted to them.
     fn next_group(&self, free: &[bool]) -> Option<(Vec<usize>, RigidMotion)> {
-        let score = |motion: &RigidMotion| {
-            let gain = |(voter, &free): (&Option<Voter>, &bool)| {
-                let voter = voter.as_ref().filter(|_| free)?;
-                Some(voter.weight * (1.0 - voter.distance(motion) / self.explained_below()).max(0.0))
-            };
-            self.voters.iter().zip(free).filter_map(gain).sum::<f64>()
-        };
-        let scores: Vec<f64> = self.proposals.par_iter().map(score).collect();
+        let score = |gains: &Vec<f64>| gains.iter().zip(free).filter(|g| *g.1).map(|g| g.0).sum::<f64>();
+        let scores: Vec<f64> = self.gains.par_iter().map(score).collect();
         let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(b.cmp(&a)))?;
         let members = self.explained(&self.proposals[best], free);
         let motion = self.refit(&members, self.proposals[best])?.motion;
@@ -281,7 +282,7 @@ impl<'a> Search<'a> {
     /// The heaviest connected set of free cells that agree with a motion.
     fn explained(&self, motion: &RigidMotion, free: &[bool]) -> Vec<usize> {
         let agrees = |c: usize| {
-            free[c] && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < self.explained_below())
+            free[c] && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < EXPLAINED * self.config.leave)
         };
         let mut open: Vec<bool> = (0..free.len()).map(agrees).collect();
         let components = std::iter::from_fn(|| next_component(&self.adjacent, &mut open));
@@ -304,20 +305,42 @@ impl<'a> Search<'a> {
     fn finish(&self, cells: Vec<usize>, start: RigidMotion) -> Option<(Vec<usize>, Group)> {
         let fit = self.refit(&cells, start)?;
         let covariance = jackknife(self.evidence, self.previous, &self.members(&cells), &fit);
-        let length = |&c: &usize| {
+        let deviation = |&c: &usize| {
             let voter = self.voters[c].as_ref()?;
             Some((fit.motion.apply(voter.centre) - voter.place).length())
         };
-        let mut lengths: Vec<f64> = cells.iter().filter_map(length).collect();
-        let sigma = median(&mut lengths)? / MEDIAN_LENGTH;
+        let mut deviations: Vec<f64> = cells.iter().filter_map(deviation).collect();
+        let sigma = median(&mut deviations)? / MEDIAN_LENGTH;
+        let mean_square = deviations.iter().map(|d| d * d).sum::<f64>() / (3 * deviations.len()) as f64;
+        let local = self.local_scales(&cells);
+        let shared = (local.iter().sum::<f64>() / local.len().max(1) as f64).max(1.0);
+        let deforms = sigma * sigma > DEFORMING * shared * self.single_variance(&cells, &local)?;
         let group = Group {
             motion: fit.motion,
             covariance,
-            scales: fit.scales,
+            scales: if deforms { local } else { fit.scales },
             spread: sigma * sigma,
+            deformation: if deforms { WITHIN_CELLS * mean_square } else { 0.0 },
             cells: cells.len(),
         };
         Some((cells, group))
+    }
+
+    /// Per tracker, the typical noise scale within a cell: what a deformation does not reach.
+    fn local_scales(&self, cells: &[usize]) -> Vec<f64> {
+        let of = |l: usize| {
+            let mut scales: Vec<f64> =
+                cells.iter().filter_map(|&c| self.voters[c].as_ref()).map(|v| v.scales[l]).collect();
+            median(&mut scales).unwrap_or(1.0)
+        };
+        (0..self.evidence.trackers()).map(of).collect()
+    }
+
+    /// Typical variance per axis of one Gaussian's combined estimate (m^2).
+    fn single_variance(&self, cells: &[usize], scales: &[f64]) -> Option<f64> {
+        let trace = |m: DMat3| m.x_axis.x + m.y_axis.y + m.z_axis.z;
+        let variance = |&i: &usize| Some(trace(symmetric_inverse(self.evidence.combined(i, scales)?.1)) / 3.0);
+        median(&mut self.members(cells).iter().filter_map(variance).collect::<Vec<_>>())
     }
 
     /// Every cell joins a group: its own, or the one with the nearest cell.
@@ -366,6 +389,17 @@ impl<'a> Search<'a> {
         e.dot(symmetric_inverse(total) * e) <= self.config.leave
     }
 }
+
+/// A group deforms when the variance of its cells' motions exceeds this many times that of a single estimate, times the
+/// factor by which trackers err beyond their claims within a cell: what they get wrong together there, they get wrong
+/// at least as much from cell to cell. Between simulated rigid (0.3 to 0.8) and bending objects (over 2).
+const DEFORMING: f64 = 2.0;
+
+/// A deforming group varies within its cells as well; times the variance between them.
+const WITHIN_CELLS: f64 = 2.0;
+
+/// Times `leave`, the squared Mahalanobis distance up to which a cell agrees with a motion: cells err together.
+const EXPLAINED: f64 = 2.0;
 
 /// Factor by which a tracker's variance about a group's motion exceeds that about the parent's when it dissents.
 const DISSENT: f64 = 10.0;

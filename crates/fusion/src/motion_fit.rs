@@ -72,8 +72,8 @@ pub fn skew(a: DVec3) -> DMat3 {
 
 /// Most re-weighted Gauss-Newton steps.
 const STEPS: usize = 12;
-/// A change below this (m, rad) ends them.
-const CONVERGED: f64 = 1e-6;
+/// A change below this (m, rad) ends them; the next one would be far smaller than any tracker's error.
+const CONVERGED: f64 = 1e-4;
 
 /// Fits the motion of `members` by re-weighted least squares from `start`; every tracker's noise is scaled to what its
 /// estimates show. `None` when the members do not determine a motion.

@@ -26,6 +26,8 @@ pub struct Prior {
     spread: f64,
     /// Whether it follows its own neighbourhood rather than a group.
     pub left: bool,
+    /// Whether its own evidence counts in full, however far it is from the prior.
+    pub free: bool,
 }
 
 /// Priors of all Gaussians and what the residuals say of the trackers.
@@ -69,11 +71,12 @@ pub fn structured(
         let (mean, covariance) = group.predict(previous[i], &config.groups);
         Some(Prior {
             mean,
-            covariance,
+            covariance: covariance + DMat3::from_diagonal(DVec3::splat(group.deformation)),
             rotation: group.motion.rotation,
             scales: g,
             spread: group.spread,
             left: false,
+            free: group.deformation > 0.0,
         })
     };
     let priors: Vec<Option<Prior>> = (0..previous.len()).into_par_iter().map(by_group).collect();
@@ -94,7 +97,7 @@ pub fn structured(
 fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
     let (prior, Some(departure)) = (prior?, departure) else { return prior };
     let covariance = prior.covariance + DMat3::from_diagonal(DVec3::splat(departure.variance));
-    Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, ..prior })
+    Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, free: true, ..prior })
 }
 
 /// Who has no group takes the motion of its neighbourhood; `None` when some have neither.
@@ -126,6 +129,7 @@ fn with_neighbourhoods(
         scales: row,
         spread: 0.0,
         left: true,
+        free: true,
     };
     let choose = |(i, prior): (usize, Option<Prior>)| prior.unwrap_or_else(|| own(i));
     Ok(Some(priors.into_iter().enumerate().map(choose).collect()))
@@ -232,7 +236,8 @@ const CLIP: f64 = 3.0;
 /// Mean product of two trackers' normalised errors about the priors.
 fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
     let errors = |i: usize| -> Vec<DVec3> {
-        let Some(prior) = priors[i] else { return Vec::new() };
+        // What a group's deformation adds to all trackers alike is no error of theirs.
+        let Some(prior) = priors[i].filter(|p| !p.free) else { return Vec::new() };
         let error = |l: usize| {
             let (mean, information) = evidence.of(l, i)?;
             let trace = information.x_axis.x + information.y_axis.y + information.z_axis.z;

@@ -10,6 +10,7 @@ mod frame;
 mod manifest;
 mod motion;
 pub mod motion_eval;
+mod motion_simulated;
 pub mod record;
 pub mod render;
 mod request;

@@ -9,8 +9,8 @@ use ffgs_core::{
     Camera, DenseMotion, EstimateStatus, Estimates, Gaussians, ImageSize, Mask, Observations, ViewMotion,
 };
 use ffgs_fusion::{
-    DensifyConfig, FusionInput, InformationFuser, MotionFuser, ProcessNoise, apply_densification, count_views,
-    plan_densification, second_chance, spatial_objects, validate,
+    DensifyConfig, FusionInput, InformationFuser, MotionFuser, ProcessNoise, apply_densification,
+    count_views, plan_densification, second_chance, spatial_objects, validate,
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, TileMask, View};
 use ffgs_report::StageSeconds;

@@ -29,11 +29,16 @@ use std::path::PathBuf;
         coverage, for every tracker alone and fused. Needs a capture with truth/. Without --run the Gaussians are the \
         capture's initial points.",
     after_help = "Examples:\n  ffgs motion-eval fixtures/scenes/fairmont-mini\n  \
-        ffgs motion-eval fixtures/scenes/fairmont-mini --run out/mini --json motion.json"
+        ffgs motion-eval fixtures/scenes/fairmont-mini --run out/mini --json motion.json\n  \
+        ffgs motion-eval --simulate"
 )]
 pub struct MotionEvalArgs {
     /// Folder of the capture, with truth/
-    pub capture: PathBuf,
+    #[arg(required_unless_present = "simulate")]
+    pub capture: Option<PathBuf>,
+    /// Score simulated scenes instead of a capture
+    #[arg(long, conflicts_with_all = ["capture", "run", "frames", "json"])]
+    pub simulate: bool,
     /// A finished run whose Gaussians are moved
     #[arg(long, value_name = "DIR")]
     pub run: Option<PathBuf>,
@@ -103,6 +108,10 @@ type Cells = BTreeMap<String, BTreeMap<String, Cell>>;
 
 /// Scores and prints.
 pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
+    if args.simulate {
+        print!("{}", table(&crate::motion_simulated::rows(&configuration(args)?)?));
+        return Ok(());
+    }
     let eval = Evaluation::open(args)?;
     let (mut all, mut frames, mut flow) = (Cells::new(), Vec::new(), BTreeMap::new());
     for frame in eval.frames.clone() {
@@ -132,6 +141,10 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
     Ok(())
 }
 
+fn configuration(args: &MotionEvalArgs) -> Result<Config> {
+    args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)
+}
+
 struct Evaluation {
     config: Config,
     capture: Capture,
@@ -147,11 +160,12 @@ struct Evaluation {
 
 impl Evaluation {
     fn open(args: &MotionEvalArgs) -> Result<Self> {
-        let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-        let capture = Capture::open(&args.capture)?;
-        let tracks = TrackStore::open(&args.capture)?.context("the capture has no tracks/tracks.json")?;
+        let config = configuration(args)?;
+        let root = args.capture.as_deref().context("a capture is needed")?;
+        let capture = Capture::open(root)?;
+        let tracks = TrackStore::open(root)?.context("the capture has no tracks/tracks.json")?;
         let views = TrainViews::select(&capture, None)?;
-        let truth = Truth::read(&args.capture)?;
+        let truth = Truth::read(root)?;
         let count = capture.frames().min(truth.frames());
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
         ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");
@@ -246,8 +260,11 @@ impl Evaluation {
 fn initial_points(capture: &Capture) -> Result<(Gaussians, Gaussians)> {
     /// The points lie on the surfaces, so that nothing shines through them.
     const OPACITY: f32 = 0.9;
+    /// Times the distance between points, so that splats overlap as trained ones do.
+    const WIDER: f32 = 3.0;
     let points = capture.initial_points()?;
-    let all = from_points(&points.positions, &points.colours, 0, OPACITY);
+    let mut all = from_points(&points.positions, &points.colours, 0, OPACITY);
+    all.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += WIDER.ln());
     let of = |moving: bool| (0..all.len()).filter(|&i| points.foreground[i] == moving).collect::<Vec<_>>();
     Ok((all.select(&of(true)), all.select(&of(false))))
 }

@@ -131,8 +131,7 @@ mod tests {
         let pose = DMat4::from_translation(DVec3::new(0.0, 0.0, 3.0));
         let follow = pose * DMat4::from_mat3(DMat3::from_quat(rotation.inverse()));
         let (before, after) = (picture(&scene, pose), picture(&moved, follow));
-        let largest =
-            before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let largest = before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(largest < 1e-4, "{largest}");
         assert!(before.iter().any(|v| *v > 0.2), "something is seen");
         let mut still = scene.clone();
@@ -148,7 +147,8 @@ mod tests {
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(scene, &view, &mut tape);
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+            .render(scene, &view, &mut tape);
         (0..3).flat_map(|c| tape.image().plane(c).to_vec()).collect()
     }
 }

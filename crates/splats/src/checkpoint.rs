@@ -73,8 +73,8 @@ fn payload(bytes: &[u8]) -> Result<(u32, &[u8]), Problem> {
     let mut cursor = Cursor(&head[MAGIC.len() + 4..]);
     let version = &head[MAGIC.len()..MAGIC.len() + 4];
     let known = (1..=VERSION).find(|v| v.to_le_bytes() == version);
-    let version =
-        known.ok_or_else(|| Problem::Header(format!("checkpoint version {version:?} is not 1 to {VERSION}")))?;
+    let version = known
+        .ok_or_else(|| Problem::Header(format!("checkpoint version {version:?} is not 1 to {VERSION}")))?;
     let length = cursor.u64()?;
     if length != payload.len() as u64 {
         return Err(Problem::Truncated(format!("{} of {length} payload bytes", payload.len())));

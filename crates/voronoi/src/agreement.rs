@@ -57,6 +57,9 @@ pub fn agreement(flows: &mut [DenseMotion], config: &AgreementConfig) -> Result<
 
 /// `exp(-D_l / max(M, floor))` of tracker `l` at `pixel`.
 fn factor(fields: &[&[[f32; 2]]], known: &[Vec<bool>], l: usize, pixel: usize, floor: f64) -> f32 {
+    if !known[l][pixel] {
+        return 1.0;
+    }
     let own = fields[l][pixel].map(f64::from);
     let (mut disagreement, mut magnitude, mut others, mut trackers) = (0.0, 0.0, 0.0_f64, 0.0_f64);
     for (m, field) in fields.iter().enumerate() {

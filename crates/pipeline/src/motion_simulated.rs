@@ -1,0 +1,63 @@
+//! `ffgs motion-eval --simulate`: the same figures on simulated scenes, beside the seed's fusion.
+
+use crate::config::Config;
+use anyhow::Result;
+use ffgs_core::Estimates;
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
+use ffgs_motion_eval::{Row, Sample, summarise};
+use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
+use ffgs_triangulation::{Triangulator, WeightedRays};
+use glam::{DMat3, DVec3};
+
+/// Seeds of every combination.
+const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
+
+/// Rows of every scenario and rig: the fusion as configured, and Algorithm 1 to the letter.
+pub fn rows(config: &Config) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for scenario in Scenario::ALL {
+        for rig in [Rig::Trackside, Rig::Ring, Rig::Dome] {
+            let mut samples = [Vec::new(), Vec::new()];
+            for seed in SEEDS {
+                let scene = simulate(&Recipe { scenario, rig, seed, ..Recipe::default() });
+                let estimates = estimate(&scene, config)?;
+                let fusions = [config.fusion, FusionConfig::literal()];
+                for (out, fusion) in samples.iter_mut().zip(fusions) {
+                    out.extend(score(&scene, &estimates, fusion)?);
+                }
+            }
+            for (name, samples) in ["fused", "literal"].iter().zip(&samples) {
+                let name = format!("{scenario:?}, {rig:?}: {name}");
+                rows.push(Row { name, candidates: samples.len(), summary: summarise(samples) });
+            }
+        }
+    }
+    Ok(rows)
+}
+
+fn estimate(scene: &Simulation, config: &Config) -> Result<Vec<Estimates>> {
+    let solver = WeightedRays { config: config.triangulation };
+    let one = |observations| {
+        let mut out = Estimates::default();
+        solver.triangulate(&scene.previous, &scene.cameras, observations, &mut out)?;
+        Ok(out)
+    };
+    scene.observations.iter().map(one).collect()
+}
+
+/// Errors of the fusion; places at t-1 are exact, so the posterior is that of the motion.
+fn score(scene: &Simulation, estimates: &[Estimates], config: FusionConfig) -> Result<Vec<Sample>> {
+    let standing = vec![DVec3::ZERO; scene.previous.len()];
+    let fused = InformationFuser { config }.fuse(&FusionInput {
+        prior_means: &scene.previous,
+        prior_covariances: &vec![DMat3::ZERO; scene.previous.len()],
+        estimates,
+        previous_steps: Some(&standing),
+        groups: Some(&scene.parts),
+        last_q: 0.0,
+        q_floor_m: 0.01,
+    })?;
+    let sample =
+        |i: usize| Sample { error: fused.means[i] - scene.truth[i], covariance: fused.covariances[i] };
+    Ok((0..scene.truth.len()).map(sample).collect())
+}
