@@ -4,13 +4,14 @@ use crate::blend::{AREA, Contribution, MAX_ALPHA, TilePlane, Visitor, walk};
 use crate::contract::{DifferentiableRasterizer, View};
 use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::gradients::{Gradients, PixelGradients};
-use crate::projection::Splat;
+use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 
-/// Number of derivatives per entry: mean x, y; conic xx, xy, yy; opacity; colour r, g, b.
+/// Number of sums per entry: derivatives with respect to mean x, y; second moments of the derivative with respect to the
+/// exponent, about the ridge (e^2, e dy, dy^2); derivatives with respect to opacity; colour r, g, b.
 pub(crate) const ENTRY: usize = 9;
 
 impl DifferentiableRasterizer for CpuRasterizer {
@@ -136,7 +137,7 @@ impl WithSimd for TileBackward<'_> {
             behind: S::as_mut_simd_f32s(&mut input.behind.0).0,
             colour: [zero; 3],
             opacity: zero,
-            conic: [0.0; 3],
+            ridge: Ridge::default(),
             sums: [zero; ENTRY],
             entries,
         };
@@ -152,8 +153,8 @@ struct Differentiate<'a, S: Simd> {
     behind: &'a mut [S::f32s],
     colour: [S::f32s; 3],
     opacity: S::f32s,
-    conic: [f32; 3],
-    /// Sums of: ds, ds dx, ds dy, ds dx^2, ds dx dy, … are kept as the nine below.
+    ridge: Ridge,
+    /// As [`ENTRY`] has them, but for the first two: first moments of the derivative with respect to the exponent.
     sums: [S::f32s; ENTRY],
     entries: &'a mut [[f32; ENTRY]],
 }
@@ -166,7 +167,7 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
             self.colour[k] = simd.splat_f32s(splat.colour[k]);
         }
         self.opacity = simd.splat_f32s(splat.opacity);
-        self.conic = splat.conic;
+        self.ridge = Ridge::of(splat);
         self.sums = [simd.splat_f32s(0.0); ENTRY];
     }
 
@@ -188,10 +189,10 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
         let d_opacity = simd.mul_f32s(d_alpha, falloff);
         // With respect to the exponent: alpha = o exp(-sigma).
         let d_exponent = simd.mul_f32s(d_opacity, self.opacity);
-        let (ex, ey) = (simd.mul_f32s(d_exponent, c.dx), simd.mul_f32s(d_exponent, c.dy));
+        let (ex, ey) = (simd.mul_f32s(d_exponent, c.from_ridge), simd.mul_f32s(d_exponent, c.dy));
         self.sums[0] = simd.add_f32s(self.sums[0], ex);
         self.sums[1] = simd.add_f32s(self.sums[1], ey);
-        self.sums[2] = simd.mul_add_e_f32s(ex, c.dx, self.sums[2]);
+        self.sums[2] = simd.mul_add_e_f32s(ex, c.from_ridge, self.sums[2]);
         self.sums[3] = simd.mul_add_e_f32s(ex, c.dy, self.sums[3]);
         self.sums[4] = simd.mul_add_e_f32s(ey, c.dy, self.sums[4]);
         self.sums[5] = simd.add_f32s(self.sums[5], d_opacity);
@@ -206,18 +207,11 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
         for k in 0..ENTRY {
             s[k] = simd.reduce_sum_f32s(self.sums[k]);
         }
-        let [a, b, c] = self.conic;
-        // sigma = a dx^2 / 2 + b dx dy + c dy^2 / 2 with dx = pixel - mean, and d_exponent = -dL/dsigma.
-        self.entries[entry] = [
-            a * s[0] + b * s[1],
-            b * s[0] + c * s[1],
-            -0.5 * s[2],
-            -s[3],
-            -0.5 * s[4],
-            s[5],
-            s[6],
-            s[7],
-            s[8],
-        ];
+        // sigma = a e^2 / 2 + dy^2 / (2 yy) with e = dx - slope dy; dx and dy fall as the mean grows.
+        let Ridge { a, slope, inverse_yy } = self.ridge;
+        let by_x = a * s[0];
+        s[0] = by_x;
+        s[1] = s[1] * inverse_yy - slope * by_x;
+        self.entries[entry] = s;
     }
 }

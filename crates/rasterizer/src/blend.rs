@@ -11,6 +11,9 @@ const MIN_TRANSMITTANCE: f32 = 1e-4;
 /// Pixels a tile.
 pub(crate) const AREA: usize = TILE * TILE;
 
+/// Splats loaded ahead; after each batch, a tile whose pixels are all finished is done.
+const BATCH: usize = 16;
+
 /// One value per pixel of a tile, row by row, aligned for the widest vectors.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
@@ -25,9 +28,9 @@ impl TilePlane {
 pub(crate) struct Contribution<S: Simd> {
     /// Vector number inside the tile: pixels `vector * lanes ..`.
     pub(crate) vector: usize,
-    /// Pixel centre minus splat centre (px).
-    pub(crate) dx: S::f32s,
-    /// The same, vertically; one value for the row.
+    /// Horizontal distance of the pixel centre from the ridge, the line where the splat is densest in its row (px).
+    pub(crate) from_ridge: S::f32s,
+    /// Pixel centre minus splat centre, vertically (px); one value for the row.
     pub(crate) dy: S::f32s,
     /// `exp(-sigma)`.
     pub(crate) falloff: S::f32s,
@@ -133,24 +136,30 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     let (columns, _) = S::as_simd_f32s(&COLUMNS);
     let (state, _) = S::as_mut_simd_f32s(&mut transmittance.0);
     let zero = simd.splat_f32s(0.0);
-    for (entry, &slot) in slots.iter().enumerate() {
-        // Every 16 splats: a tile whose pixels are all finished is done.
-        if entry % 16 == 15 && all_finished(simd, state) {
-            break;
+    let mut batch = [Splat::default(); BATCH];
+    for entry in 0..slots.len() {
+        if entry % BATCH == 0 {
+            if entry > 0 && all_finished(simd, state) {
+                break;
+            }
+            // Splats lie anywhere in memory: loads that follow each other overlap.
+            for (copy, &slot) in batch.iter_mut().zip(&slots[entry..]) {
+                *copy = splats[slot as usize];
+            }
         }
-        let splat = &splats[slot as usize];
+        let splat = &batch[entry % BATCH];
         let x = origin[0] as f32 + 0.5 - splat.mean[0];
         let y = origin[1] as f32 + 0.5 - splat.mean[1];
         let rows = RowRange::new(splat, y);
-        let [a, b, c] = splat.conic;
-        let (half_a, b_, opacity) =
-            (simd.splat_f32s(0.5 * a), simd.splat_f32s(b), simd.splat_f32s(splat.opacity));
+        let half_a = 0.5 * splat.conic[0];
+        let (half_a_, opacity) = (simd.splat_f32s(half_a), simd.splat_f32s(splat.opacity));
         visitor.begin(simd, splat);
         for row in rows.first..rows.end {
             let dy = y + row as f32;
             let (low, high) = rows.columns(dy);
-            let quadratic = simd.splat_f32s(0.5 * c * dy * dy);
-            let dy_ = simd.splat_f32s(dy);
+            // The square completed, sigma = a (dx - slope dy)^2 / 2 + the least of this row: nothing cancels on needles.
+            let least = simd.splat_f32s(half_a * splat.shrink * dy * dy);
+            let (shift, dy_) = (simd.splat_f32s(rows.slope * dy), simd.splat_f32s(dy));
             for part in 0..vectors {
                 let left = x + (part * lanes) as f32;
                 if high < left || low > left + (lanes - 1) as f32 {
@@ -159,17 +168,14 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                 let vector = row * vectors + part;
                 let t = state[vector];
                 let dx = simd.add_f32s(columns[part], simd.splat_f32s(x));
-                let cross = simd.mul_f32s(b_, dy_);
-                let sigma = simd.mul_add_e_f32s(simd.mul_add_e_f32s(half_a, dx, cross), dx, quadratic);
+                let from_ridge = simd.sub_f32s(dx, shift);
+                let sigma = simd.mul_add_e_f32s(simd.mul_f32s(half_a_, from_ridge), from_ridge, least);
                 let falloff = exp_negative(simd, sigma);
                 let alpha = simd.min_f32s(simd.splat_f32s(MAX_ALPHA), simd.mul_f32s(opacity, falloff));
                 let shows = simd.and_m32s(
                     simd.greater_than_or_equal_f32s(alpha, simd.splat_f32s(MIN_ALPHA)),
                     // The polynomial holds up to here, beyond every splat's reach; also false for NaN.
-                    simd.and_m32s(
-                        simd.less_than_f32s(sigma, simd.splat_f32s(5.6)),
-                        simd.greater_than_or_equal_f32s(sigma, zero),
-                    ),
+                    simd.less_than_f32s(sigma, simd.splat_f32s(5.6)),
                 );
                 let shows = simd.and_m32s(shows, simd.greater_than_f32s(t, zero));
                 if !any(simd, shows) {
@@ -182,8 +188,16 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                 let closed = simd.select_f32s(shows, simd.neg_f32s(t), t);
                 state[vector] = simd.select_f32s(counts, next, closed);
                 let weight = simd.select_f32s(counts, weight, zero);
-                let contribution =
-                    Contribution { vector, dx, dy: dy_, falloff, alpha, transmittance: t, weight, counts };
+                let contribution = Contribution {
+                    vector,
+                    from_ridge,
+                    dy: dy_,
+                    falloff,
+                    alpha,
+                    transmittance: t,
+                    weight,
+                    counts,
+                };
                 visitor.visit(simd, &contribution);
             }
         }

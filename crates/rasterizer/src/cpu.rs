@@ -1,10 +1,12 @@
 //! The forward pass.
 
 use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::block::{BLOCK, Block, Projected};
+use crate::compose::compose;
 use crate::contract::{Rasterizer, RenderOptions, View};
-use crate::projection::{PinholeF32, Splat, active_degree, splat, view_colour};
-use crate::tape::{ChunkSplats, RenderTape, TilePixels, for_each_pixel};
-use crate::tiles::{TILE, TileGrid, cover};
+use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
+use crate::tape::{ChunkSplats, RenderTape, TilePixels};
+use crate::tiles::{TILE, TileGrid, TileMask, cover};
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -35,21 +37,78 @@ impl CpuRasterizer {
     }
 
     fn project(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
-        let camera = PinholeF32::from(view.camera);
-        let (options, grid, n) = (self.options, tape.grid, gaussians.len());
-        let degree = active_degree(gaussians, options);
-        tape.chunks.resize_with(n.div_ceil(CHUNK), ChunkSplats::default);
-        tape.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
-            chunk.splats.clear();
-            chunk.spans.clear();
-            for i in c * CHUNK..((c + 1) * CHUNK).min(n) {
-                let Some((mut s, covariance)) = splat(gaussians, i, &camera, options) else { continue };
-                if cover(&mut s, covariance, grid, view.tiles, &mut chunk.spans) {
-                    s.colour = view_colour(gaussians, i, &camera, degree).max(glam::Vec3::ZERO).to_array();
-                    chunk.splats.push(s);
+        let size = view.camera.size();
+        let shared = Projection {
+            gaussians,
+            camera: PinholeF32::from(view.camera),
+            antialiased: self.options.antialiased,
+            degree: active_degree(gaussians, self.options),
+            size: [size.width as f32, size.height as f32],
+            grid: tape.grid,
+            mask: view.tiles,
+        };
+        tape.chunks.resize_with(gaussians.len().div_ceil(CHUNK), ChunkSplats::default);
+        let arch = Arch::new();
+        tape.chunks.par_iter_mut().enumerate().for_each(|(c, out)| {
+            arch.dispatch(ProjectChunk { shared: &shared, first: c * CHUNK, out });
+        });
+    }
+}
+
+/// What every chunk of a projection reads.
+struct Projection<'a> {
+    gaussians: &'a Gaussians,
+    camera: PinholeF32,
+    antialiased: bool,
+    degree: usize,
+    /// Of the image (px).
+    size: [f32; 2],
+    grid: TileGrid,
+    mask: Option<&'a TileMask>,
+}
+
+/// Projects up to [`CHUNK`] Gaussians from `first` on.
+struct ProjectChunk<'a> {
+    shared: &'a Projection<'a>,
+    first: usize,
+    out: &'a mut ChunkSplats,
+}
+
+impl WithSimd for ProjectChunk<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { shared, first, out } = self;
+        out.splats.clear();
+        out.spans.clear();
+        let end = (first + CHUNK).min(shared.gaussians.len());
+        let (mut block, mut projected) = (Block::default(), Projected::default());
+        for start in (first..end).step_by(BLOCK) {
+            let count = BLOCK.min(end - start);
+            for k in 0..count {
+                block.load(k, shared.gaussians, start + k, &shared.camera);
+            }
+            block.project(&shared.camera, shared.antialiased, shared.size, &mut projected);
+            for k in 0..count {
+                if projected.opacity[k] > 0.0 {
+                    shared.keep(&projected, k, start + k, out);
                 }
             }
-        });
+        }
+    }
+}
+
+impl Projection<'_> {
+    /// Adds lane `k`, Gaussian `index`, to the splats if it reaches a computed tile.
+    #[inline(always)]
+    fn keep(&self, projected: &Projected, k: usize, index: usize, out: &mut ChunkSplats) {
+        let (mut splat, extent) = projected.splat(k, index);
+        if cover(&mut splat, &extent, self.grid, self.mask, &mut out.spans) {
+            let colour = view_colour(self.gaussians, index, &self.camera, self.degree);
+            splat.colour = colour.max(glam::Vec3::ZERO).to_array();
+            out.splats.push(splat);
+        }
     }
 }
 
@@ -79,25 +138,6 @@ fn concatenate(tape: &mut RenderTape) {
         tape.spans.extend_from_slice(&chunk.spans);
         tape.splats
             .extend(chunk.splats.iter().map(|&s| Splat { spans: (s.spans.0 + first_span, s.spans.1), ..s }));
-    }
-}
-
-/// Tile results, over the background, into the row-major image.
-fn compose(view: &View, tape: &mut RenderTape) {
-    let (size, grid) = (view.camera.size(), tape.grid);
-    tape.image.reset(size);
-    tape.transmittance.clear();
-    tape.transmittance.resize(size.pixels(), 1.0);
-    for (tile, pixels) in tape.pixels.iter().enumerate() {
-        if view.tiles.is_some_and(|m| !m.is_active(tile)) {
-            continue;
-        }
-        for_each_pixel(size, grid, tile, |pixel, local| {
-            let t = pixels.transmittance.0[local];
-            let behind = view.background.pixel(pixel);
-            tape.transmittance[pixel] = t;
-            tape.image.set_pixel(pixel, [0, 1, 2].map(|c| pixels.rgb[c].0[local] + t * behind[c]));
-        });
     }
 }
 

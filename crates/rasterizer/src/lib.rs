@@ -22,8 +22,11 @@
 
 mod backward;
 mod blend;
+mod block;
+mod compose;
 mod contract;
 mod cpu;
+mod elementary;
 mod footprint;
 mod gradients;
 mod projection;

@@ -1,8 +1,9 @@
-//! EWA projection of one Gaussian: shared by the forward and the backward pass.
+//! EWA projection of one Gaussian: shared by the forward and the backward pass, which loop over blocks of Gaussians.
 
 use crate::contract::RenderOptions;
+use crate::elementary::{exp, ln, sigmoid};
 use crate::spherical_harmonics;
-use ffgs_core::{Camera, Gaussians, sh_coefficients, sigmoid};
+use ffgs_core::{Camera, Gaussians, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 
 /// Variance added to the projected covariance (px^2): the pixel filter of 3D Gaussian Splatting.
@@ -44,8 +45,9 @@ impl From<&Camera> for PinholeF32 {
     }
 }
 
-/// A projected Gaussian, ready to blend.
+/// A projected Gaussian, ready to blend: one cache line.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
 pub(crate) struct Splat {
     /// Centre (px).
     pub(crate) mean: [f32; 2],
@@ -77,6 +79,26 @@ impl Splat {
     }
 }
 
+/// The exponent by its square completed: `sigma = a (dx - slope dy)^2 / 2 + dy^2 / (2 yy)`. On a long needle the three
+/// terms of `a dx^2 / 2 + b dx dy + c dy^2 / 2` are large and cancel; these two do not.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Ridge {
+    /// Inverse of the variance along x at a given y (1/px^2).
+    pub(crate) a: f32,
+    /// How x shifts with y along the ridge.
+    pub(crate) slope: f32,
+    /// Inverse of the variance along y (1/px^2).
+    pub(crate) inverse_yy: f32,
+}
+
+impl Ridge {
+    #[inline(always)]
+    pub(crate) fn of(splat: &Splat) -> Self {
+        let [a, b, _] = splat.conic;
+        Self { a, slope: -b / a, inverse_yy: a * splat.shrink }
+    }
+}
+
 /// Everything of the projection that the backward pass needs again.
 pub(crate) struct Ewa {
     /// Position in the camera (m).
@@ -97,6 +119,8 @@ pub(crate) struct Ewa {
     pub(crate) axes: [Vec3; 2],
     /// Unfiltered covariance xx, xy, yy (px^2).
     pub(crate) covariance: [f32; 3],
+    /// False behind the near plane or where a parameter is not finite; nothing else means anything then.
+    pub(crate) valid: bool,
 }
 
 /// Filtered covariance, its inverse and the antialiasing compensation.
@@ -108,6 +132,7 @@ pub(crate) struct Filtered {
 }
 
 /// Rotation matrix of a unit quaternion (w, x, y, z).
+#[inline(always)]
 pub(crate) fn rotation_of([w, x, y, z]: [f32; 4]) -> Mat3 {
     Mat3::from_cols(
         Vec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
@@ -117,46 +142,56 @@ pub(crate) fn rotation_of([w, x, y, z]: [f32; 4]) -> Mat3 {
 }
 
 /// Unit quaternion and the length it had; the identity for a zero quaternion.
-pub(crate) fn normalised(q: [f32; 4]) -> ([f32; 4], f32) {
-    let length = q.iter().map(|v| v * v).sum::<f32>().sqrt();
-    if length > 0.0 { (q.map(|v| v / length), length) } else { ([1.0, 0.0, 0.0, 0.0], 1.0) }
+#[inline(always)]
+pub(crate) fn normalised([w, x, y, z]: [f32; 4]) -> ([f32; 4], f32) {
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    let zero = length == 0.0;
+    let length = if zero { 1.0 } else { length };
+    let real = if zero { 1.0 } else { w / length };
+    ([real, x / length, y / length, z / length], length)
 }
 
 /// Position of a Gaussian relative to the camera's centre (m, world axes).
+#[inline(always)]
 pub(crate) fn offset(mean: [f32; 3], center: DVec3) -> Vec3 {
     (DVec3::new(f64::from(mean[0]), f64::from(mean[1]), f64::from(mean[2])) - center).as_vec3()
 }
 
-/// Projects the shape of Gaussian `i`; `None` behind the near plane or where a parameter is not finite.
-pub(crate) fn ewa(g: &Gaussians, i: usize, camera: &PinholeF32) -> Option<Ewa> {
-    let point = camera.rotation * offset(g.means[i], camera.center);
-    if !(point.z >= NEAR && point.is_finite()) {
-        return None;
-    }
-    let raw = [point.x / point.z, point.y / point.z];
-    let slope = [0, 1].map(|a| raw[a].clamp(camera.low[a], camera.high[a]));
-    let [fx, fy] = camera.focal.map(|f| f / point.z);
+/// Projects the shape of a Gaussian, given its position relative to the camera's centre (m, world axes). No branches,
+/// calls or closures: the loops that use it are vectorised across Gaussians.
+#[inline(always)]
+pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &PinholeF32) -> Ewa {
+    let point = camera.rotation * offset;
+    let (sx, sy) = (point.x / point.z, point.y / point.z);
+    let slope = [sx.max(camera.low[0]).min(camera.high[0]), sy.max(camera.low[1]).min(camera.high[1])];
+    let (fx, fy) = (camera.focal[0] / point.z, camera.focal[1] / point.z);
     let jacobian = [Vec3::new(fx, 0.0, -fx * slope[0]), Vec3::new(0.0, fy, -fy * slope[1])];
-    let to_pixels = jacobian.map(|row| camera.rotation.transpose() * row);
-    let rotation = rotation_of(normalised(g.quats[i]).0);
-    let scales = Vec3::from(g.log_scales[i].map(f32::exp));
-    let shape = rotation * Mat3::from_diagonal(scales);
-    let axes = to_pixels.map(|row| shape.transpose() * row);
+    let back = camera.rotation.transpose();
+    let to_pixels = [back * jacobian[0], back * jacobian[1]];
+    let rotation = rotation_of(normalised(quat).0);
+    let scales = Vec3::new(exp(log_scales[0]), exp(log_scales[1]), exp(log_scales[2]));
+    let shape =
+        Mat3::from_cols(rotation.x_axis * scales.x, rotation.y_axis * scales.y, rotation.z_axis * scales.z);
+    let across = shape.transpose();
+    let axes = [across * to_pixels[0], across * to_pixels[1]];
     let covariance = [axes[0].dot(axes[0]), axes[0].dot(axes[1]), axes[1].dot(axes[1])];
-    let clamped = [raw[0] != slope[0], raw[1] != slope[1]];
-    let ewa = Ewa { point, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance };
-    covariance.iter().all(|v| v.is_finite()).then_some(ewa)
+    let clamped = [sx != slope[0], sy != slope[1]];
+    // A sum is finite only if every part is.
+    let sum = point.x.abs() + point.y.abs() + point.z + covariance[0] + covariance[1].abs() + covariance[2];
+    let valid = (point.z >= NEAR) & (sum < f32::INFINITY);
+    Ewa { point, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance, valid }
 }
 
 /// Applies the pixel filter to a projected covariance.
-pub(crate) fn filter(covariance: [f32; 3], antialiased: bool) -> Filtered {
-    let [xx, xy, yy] = covariance;
-    let (fxx, fyy) = (xx + PIXEL_FILTER, yy + PIXEL_FILTER);
-    // Long needles cancel here: f64 keeps their conic.
-    let determinant = |p: f32, q: f32| (f64::from(p) * f64::from(q) - f64::from(xy) * f64::from(xy)) as f32;
-    let determinants = [determinant(xx, yy), determinant(fxx, fyy)];
+#[inline(always)]
+pub(crate) fn filter(ewa: &Ewa, antialiased: bool) -> Filtered {
+    let [xx, xy, yy] = ewa.covariance;
+    // |u|^2 |v|^2 - (u.v)^2 = |u x v|^2 (Lagrange): of a long needle the left side would cancel to nothing.
+    let raw = ewa.axes[0].cross(ewa.axes[1]).length_squared();
+    let determinants = [raw, raw + PIXEL_FILTER * (xx + yy) + PIXEL_FILTER * PIXEL_FILTER];
     let ratio = (determinants[0] / determinants[1]).max(MIN_COMPENSATION * MIN_COMPENSATION);
     let inverse = 1.0 / determinants[1];
+    let (fxx, fyy) = (xx + PIXEL_FILTER, yy + PIXEL_FILTER);
     Filtered {
         covariance: [fxx, xy, fyy],
         conic: [fyy * inverse, -xy * inverse, fxx * inverse],
@@ -166,42 +201,60 @@ pub(crate) fn filter(covariance: [f32; 3], antialiased: bool) -> Filtered {
 }
 
 /// Whether the compensation is above its floor, so that it has a derivative.
+#[inline(always)]
 pub(crate) fn compensation_is_free(filtered: &Filtered) -> bool {
     filtered.determinants[0] / filtered.determinants[1] > MIN_COMPENSATION * MIN_COMPENSATION
 }
 
-/// The splat of Gaussian `i` without colour and spans, and its filtered covariance; `None` when it cannot show.
+/// What the coverage test needs besides the splat.
+pub(crate) struct Extent {
+    /// Variance along x and covariance (px^2), filtered.
+    pub(crate) covariance: [f32; 2],
+    /// Half the width of the ellipse `sigma <= reach` (px).
+    pub(crate) half_width: f32,
+}
+
+/// The splat without colour, index and spans, and its extent; its opacity is 0 where it cannot show, be it because it
+/// lies outside the image of `size` (px).
+#[inline(always)]
 pub(crate) fn splat(
-    g: &Gaussians,
-    i: usize,
+    offset: Vec3,
+    quat: [f32; 4],
+    log_scales: [f32; 3],
+    opacity_logit: f32,
     camera: &PinholeF32,
-    options: RenderOptions,
-) -> Option<(Splat, [f32; 3])> {
-    let opacity = sigmoid(g.opacity_logits[i]);
-    if !(opacity >= MIN_ALPHA) {
-        return None;
-    }
-    let ewa = ewa(g, i, camera)?;
-    let filtered = filter(ewa.covariance, options.antialiased);
-    let opacity = opacity * filtered.compensation;
-    // A needle can round to a singular covariance; there is nothing sensible to blend then.
-    if !(filtered.determinants[1] > 0.0 && opacity >= MIN_ALPHA) {
-        return None;
-    }
-    let mean = [0, 1].map(|a| camera.focal[a] * ewa.point[a] / ewa.point.z + camera.principal[a]);
-    let [a, _, _] = filtered.conic;
+    antialiased: bool,
+    size: [f32; 2],
+) -> (Splat, Extent) {
+    let ewa = ewa(offset, quat, log_scales, camera);
+    let filtered = filter(&ewa, antialiased);
+    let bare = sigmoid(opacity_logit);
+    let opacity = bare * filtered.compensation;
+    let mean = [
+        camera.focal[0] * ewa.point.x / ewa.point.z + camera.principal[0],
+        camera.focal[1] * ewa.point.y / ewa.point.z + camera.principal[1],
+    ];
+    let a = filtered.conic[0];
     let mut splat = Splat {
         mean,
         conic: filtered.conic,
         opacity,
         depth: ewa.point.z,
-        reach: (255.0 * opacity).ln(),
+        reach: ln(255.0 * opacity),
         shrink: 1.0 / (filtered.determinants[1] * a * a),
-        index: i as u32,
         ..Splat::default()
     };
-    splat.half_height = (splat.squared_reach() * filtered.covariance[2]).sqrt() + 1e-3;
-    Some((splat, filtered.covariance))
+    let reach = splat.squared_reach();
+    splat.half_height = (reach * filtered.covariance[2]).sqrt() + 1e-3;
+    let half_width = (reach * filtered.covariance[0]).sqrt() + 1e-2;
+    // A needle can round to a singular covariance; there is nothing sensible to blend then.
+    let shows = ewa.valid & (filtered.determinants[1] > 0.0) & (bare >= MIN_ALPHA) & (opacity >= MIN_ALPHA);
+    let inside = (mean[0] + half_width >= 0.0)
+        & (mean[0] - half_width <= size[0])
+        & (mean[1] + splat.half_height >= 0.0)
+        & (mean[1] - splat.half_height <= size[1]);
+    splat.opacity = if shows & inside { opacity } else { 0.0 };
+    (splat, Extent { covariance: [filtered.covariance[0], filtered.covariance[1]], half_width })
 }
 
 /// Degree to evaluate: the options', bounded by the Gaussians' own.
@@ -210,6 +263,7 @@ pub(crate) fn active_degree(g: &Gaussians, options: RenderOptions) -> usize {
 }
 
 /// Colour of Gaussian `i` seen from the camera before the clamp at 0.
+#[inline(always)]
 pub(crate) fn view_colour(g: &Gaussians, i: usize, camera: &PinholeF32, degree: usize) -> Vec3 {
     let direction = offset(g.means[i], camera.center).normalize_or_zero();
     let basis = spherical_harmonics::basis(degree, direction);

@@ -1,29 +1,45 @@
 //! From derivatives per (tile, splat) entry to derivatives of the Gaussians' parameters and the camera's pose.
 
 use crate::backward::ENTRY;
+use crate::block::{BLOCK, Block, Column};
 use crate::contract::{RenderOptions, View};
+use crate::elementary::sigmoid;
 use crate::gradients::Gradients;
 use crate::projection::{self, Ewa, PinholeF32};
 use crate::spherical_harmonics as sh;
 use crate::tape::RenderTape;
-use ffgs_core::{Gaussians, sh_coefficients, sigmoid};
+use ffgs_core::{Gaussians, sh_coefficients};
 use glam::{DMat3, DVec3, Mat3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Gaussians differentiated as one unit of parallel work; pose sums add up in the order of these chunks.
 const CHUNK: usize = 1024;
 
-/// Derivatives of one Gaussian's parameters.
-struct ParameterGradients {
-    mean: Vec3,
-    quat: [f32; 4],
-    log_scale: Vec3,
-    opacity_logit: f32,
-    /// Derivative of the colour before the clamp, and the basis it multiplies.
-    colour: Vec3,
-    basis: [f32; 16],
-    mean2d: [f32; 2],
-    pose: PoseGradient,
+/// Derivatives of a block of Gaussians, a column each.
+#[derive(Default)]
+struct BlockGradients {
+    mean: [Column; 3],
+    quat: [Column; 4],
+    log_scale: [Column; 3],
+    opacity_logit: Column,
+    /// With respect to the camera-space position: what the pose needs.
+    point: [Column; 3],
+    /// With respect to the rows of Jacobian times camera rotation, and these rows of the Jacobian.
+    to_pixels: [[Column; 3]; 2],
+    jacobian: [[Column; 3]; 2],
+    /// 0 where the Gaussian has no derivative.
+    valid: Column,
+}
+
+/// What the block's derivatives start from.
+#[derive(Default)]
+struct BlockInput {
+    block: Block,
+    /// Sums over the tiles, in the order of [`ENTRY`].
+    entries: [Column; ENTRY],
+    /// With respect to the mean, through the viewing direction.
+    from_direction: [Column; 3],
 }
 
 /// Derivative with respect to `camera_from_world`.
@@ -53,6 +69,7 @@ pub(crate) fn to_parameters(
     };
     let k = gaussians.sh_stride();
     let g = &mut out.gaussians;
+    let arch = Arch::new();
     let poses: Vec<PoseGradient> = g
         .means
         .par_chunks_mut(CHUNK)
@@ -65,9 +82,8 @@ pub(crate) fn to_parameters(
         .zip(out.views_seen.par_chunks_mut(CHUNK))
         .enumerate()
         .map(|(c, (((((((means, quats), scales), opacities), sh), touched), norms), seen))| {
-            let first = c * CHUNK;
-            let mut columns = Columns { means, quats, scales, opacities, sh, touched, norms, seen };
-            context.differentiate_chunk(first, &mut columns)
+            let columns = Columns { means, quats, scales, opacities, sh, touched, norms, seen };
+            arch.dispatch(DifferentiateChunk { context: &context, first: c * CHUNK, columns })
         })
         .collect();
     for pose in poses {
@@ -97,21 +113,41 @@ struct Columns<'a> {
 }
 
 impl Columns<'_> {
-    /// Adds to entry `i`, or overwrites a stale entry when it is the first of this step.
-    fn add(&mut self, i: usize, d: &ParameterGradients, half_size: [f32; 2]) {
-        let keep = if std::mem::replace(&mut self.touched[i], true) { 1.0 } else { 0.0 };
-        let add = |old: &mut f32, new: f32| *old = if keep > 0.0 { *old + new } else { new };
-        (0..3).for_each(|a| add(&mut self.means[i][a], d.mean[a]));
-        (0..4).for_each(|a| add(&mut self.quats[i][a], d.quat[a]));
-        (0..3).for_each(|a| add(&mut self.scales[i][a], d.log_scale[a]));
-        add(&mut self.opacities[i], d.opacity_logit);
-        let k = self.sh.len() / self.means.len();
-        for (coefficient, &basis) in self.sh[i * k..(i + 1) * k].iter_mut().zip(&d.basis) {
-            (0..3).for_each(|a| add(&mut coefficient[a], basis * d.colour[a]));
+    /// Adds lane `k` to entry `i`, or overwrites a stale entry when it is the first of this step.
+    #[inline(always)]
+    fn add(&mut self, i: usize, d: &BlockGradients, k: usize, colour: &ColourGradient) {
+        let keep = std::mem::replace(&mut self.touched[i], true);
+        for a in 0..3 {
+            add(&mut self.means[i][a], d.mean[a][k], keep);
+            add(&mut self.scales[i][a], d.log_scale[a][k], keep);
         }
-        self.norms[i] += (d.mean2d[0] * half_size[0]).hypot(d.mean2d[1] * half_size[1]);
+        for a in 0..4 {
+            add(&mut self.quats[i][a], d.quat[a][k], keep);
+        }
+        add(&mut self.opacities[i], d.opacity_logit[k], keep);
+        let stride = self.sh.len() / self.means.len();
+        let sh = &mut self.sh[i * stride..(i + 1) * stride];
+        for (coefficient, &basis) in sh.iter_mut().zip(&colour.basis) {
+            for a in 0..3 {
+                add(&mut coefficient[a], basis * colour.colour[a], keep);
+            }
+        }
         self.seen[i] += 1;
     }
+}
+
+#[inline(always)]
+fn add(old: &mut f32, new: f32, keep: bool) {
+    *old = if keep { *old + new } else { new };
+}
+
+/// Derivative of one Gaussian's colour before the clamp, the basis it multiplies, and the derivative with respect to
+/// the mean through the viewing direction.
+#[derive(Clone, Copy, Default)]
+struct ColourGradient {
+    colour: [f32; 3],
+    basis: [f32; 16],
+    from_direction: Vec3,
 }
 
 struct Context<'a> {
@@ -123,122 +159,210 @@ struct Context<'a> {
     tape: &'a RenderTape,
 }
 
-impl Context<'_> {
-    fn differentiate_chunk(&self, first: usize, columns: &mut Columns) -> PoseGradient {
+/// Differentiates up to [`CHUNK`] Gaussians from `first` on.
+struct DifferentiateChunk<'a> {
+    context: &'a Context<'a>,
+    first: usize,
+    columns: Columns<'a>,
+}
+
+impl WithSimd for DifferentiateChunk<'_> {
+    type Output = PoseGradient;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> PoseGradient {
+        let Self { context, first, mut columns } = self;
         let mut pose = PoseGradient { rotation: DMat3::ZERO, translation: DVec3::ZERO };
-        for local in 0..columns.means.len() {
-            let slot = self.tape.slot_of[first + local];
-            if slot == u32::MAX {
-                continue;
+        let (mut input, mut output) = (BlockInput::default(), BlockGradients::default());
+        let mut colours = [ColourGradient::default(); BLOCK];
+        let mut members = [(0, 0); BLOCK];
+        let mut local = 0;
+        while local < columns.means.len() {
+            let mut count = 0;
+            while count < BLOCK && local < columns.means.len() {
+                let slot = context.tape.slot_of[first + local];
+                if slot != u32::MAX {
+                    members[count] = (local, slot as usize);
+                    count += 1;
+                }
+                local += 1;
             }
-            if let Some(d) = self.differentiate(first + local, &self.sum_entries(slot as usize)) {
-                pose.rotation += d.pose.rotation;
-                pose.translation += d.pose.translation;
-                columns.add(local, &d, self.half_size);
+            for k in 0..count {
+                let (local, slot) = members[k];
+                colours[k] = context.load(&mut input, k, first + local, slot);
+            }
+            context.differentiate(&input, &mut output);
+            for k in (0..count).filter(|&k| output.valid[k] > 0.0) {
+                let local = members[k].0;
+                columns.add(local, &output, k, &colours[k]);
+                let (x, y) = (input.entries[0][k], input.entries[1][k]);
+                let (x, y) = (x * context.half_size[0], y * context.half_size[1]);
+                columns.norms[local] += (x * x + y * y).sqrt();
+                context.add_pose(&mut pose, first + local, &output, k, colours[k].from_direction);
             }
         }
         pose
     }
+}
 
+impl Context<'_> {
+    /// Loads Gaussian `i` into lane `k` and differentiates its colour.
+    #[inline(always)]
+    fn load(&self, input: &mut BlockInput, k: usize, i: usize, slot: usize) -> ColourGradient {
+        input.block.load(k, self.gaussians, i, &self.camera);
+        let entries = self.sum_entries(slot);
+        for (column, &value) in input.entries.iter_mut().zip(&entries) {
+            column[k] = value;
+        }
+        let colour = self.colour(i, slot, [entries[6], entries[7], entries[8]]);
+        for axis in 0..3 {
+            input.from_direction[axis][k] = colour.from_direction[axis];
+        }
+        colour
+    }
+
+    #[inline(always)]
     fn sum_entries(&self, slot: usize) -> [f32; ENTRY] {
         let lists = &self.tape.lists;
         let (start, end) = (lists.entry_starts[slot] as usize, lists.entry_starts[slot + 1] as usize);
         let mut sum = [0.0; ENTRY];
         for &entry in &lists.entries[start..end] {
-            sum.iter_mut().zip(&self.tape.entry_gradients[entry as usize]).for_each(|(s, v)| *s += v);
+            let values = &self.tape.entry_gradients[entry as usize];
+            for n in 0..ENTRY {
+                sum[n] += values[n];
+            }
         }
         sum
     }
 
-    fn differentiate(&self, i: usize, entry: &[f32; ENTRY]) -> Option<ParameterGradients> {
-        let &[mx, my, a, b, c, opacity, red, green, blue] = entry;
-        let ewa = projection::ewa(self.gaussians, i, &self.camera)?;
-        let filtered = projection::filter(ewa.covariance, self.options.antialiased);
-        let mut covariance = conic_to_covariance(filtered.conic, [a, b, c]);
-        let alpha = sigmoid(self.gaussians.opacity_logits[i]);
-        if self.options.antialiased && projection::compensation_is_free(&filtered) {
-            add_compensation(&filtered, ewa.covariance, opacity * alpha, &mut covariance);
+    /// Through the colour that the splat shows; a channel at the clamp has no derivative.
+    #[inline(always)]
+    fn colour(&self, i: usize, slot: usize, upstream: [f32; 3]) -> ColourGradient {
+        let shown = &self.tape.splats[slot].colour;
+        let mut colour = [0.0; 3];
+        for a in 0..3 {
+            colour[a] = if shown[a] > 0.0 { upstream[a] } else { 0.0 };
         }
-        let (colour, basis, from_direction) = self.colour(i, Vec3::new(red, green, blue));
-        let shape = shape_gradient(&ewa, &self.camera, covariance, [mx, my]);
-        let (quat, log_scale) = self.rotation_and_scale(i, &ewa, shape.shape);
-        let rotation = self.camera.rotation;
-        Some(ParameterGradients {
-            mean: rotation.transpose() * shape.point + from_direction,
-            quat,
-            log_scale,
-            opacity_logit: opacity * filtered.compensation * alpha * (1.0 - alpha),
-            colour,
-            basis,
-            mean2d: [mx, my],
-            pose: self.pose(i, &ewa, &shape, from_direction),
-        })
-    }
-
-    /// Colour derivative before the clamp, its basis, and the derivative with respect to the mean through the
-    /// viewing direction.
-    fn colour(&self, i: usize, upstream: Vec3) -> (Vec3, [f32; 16], Vec3) {
         let offset = projection::offset(self.gaussians.means[i], self.camera.center);
-        let (direction, distance) = (offset.normalize_or_zero(), offset.length());
+        let direction = offset.normalize_or_zero();
         let basis = sh::basis(self.degree, direction);
-        let coefficients = &self.gaussians.sh_of(i)[..sh_coefficients(self.degree)];
-        let shows = sh::colour(&basis, coefficients).cmpgt(Vec3::ZERO);
-        let colour = Vec3::select(shows, upstream, Vec3::ZERO);
         if self.degree == 0 {
-            return (colour, basis, Vec3::ZERO);
+            return ColourGradient { colour, basis, from_direction: Vec3::ZERO };
         }
         let gradient = sh::basis_gradient(self.degree, direction);
-        let along = coefficients
-            .iter()
-            .zip(&gradient)
-            .fold(Vec3::ZERO, |sum, (&s, &g)| sum + g * Vec3::from(s).dot(colour));
-        (colour, basis, (along - direction * direction.dot(along)) / distance)
+        let coefficients = &self.gaussians.sh_of(i)[..sh_coefficients(self.degree)];
+        let mut along = Vec3::ZERO;
+        for (s, &g) in coefficients.iter().zip(&gradient).skip(1) {
+            along += g * (s[0] * colour[0] + s[1] * colour[1] + s[2] * colour[2]);
+        }
+        let from_direction = (along - direction * direction.dot(along)) / offset.length();
+        ColourGradient { colour, basis, from_direction }
     }
 
-    fn rotation_and_scale(&self, i: usize, ewa: &Ewa, d_shape: Mat3) -> ([f32; 4], Vec3) {
-        let columns = [0, 1, 2].map(|k| d_shape.col(k).dot(ewa.shape.col(k)));
-        let d_rotation = d_shape * Mat3::from_diagonal(ewa.scales);
-        let (unit, length) = projection::normalised(self.gaussians.quats[i]);
-        let d = quaternion_gradient(unit, &d_rotation);
-        let along: f32 = (0..4).map(|k| d[k] * unit[k]).sum();
-        ([0, 1, 2, 3].map(|k| (d[k] - along * unit[k]) / length), Vec3::from(columns))
+    /// All lanes of a block. No branches, calls or closures: this loop is vectorised.
+    #[inline(always)]
+    fn differentiate(&self, input: &BlockInput, out: &mut BlockGradients) {
+        let (camera, antialiased) = (&self.camera, self.options.antialiased);
+        for k in 0..BLOCK {
+            let e = &input.entries;
+            let quat = input.block.quat(k);
+            let ewa = projection::ewa(input.block.offset(k), quat, input.block.log_scales(k), camera);
+            let filtered = projection::filter(&ewa, antialiased);
+            let alpha = sigmoid(input.block.opacity_logit[k]);
+            let free = antialiased & projection::compensation_is_free(&filtered);
+            let footprint = FootprintGradient::new(&filtered, [e[2][k], e[3][k], e[4][k]]);
+            let compensation = compensation_gradient(&filtered, ewa.covariance, free, e[5][k] * alpha);
+            let shape = shape_gradient(&ewa, camera, &footprint, compensation, [e[0][k], e[1][k]]);
+            let d_quat = rotation_gradient(quat, &ewa, &shape.shape);
+            let mean = camera.rotation.transpose() * shape.point;
+            for a in 0..3 {
+                out.mean[a][k] = mean[a] + input.from_direction[a][k];
+                out.log_scale[a][k] = shape.log_scales[a];
+                out.point[a][k] = shape.point[a];
+                out.to_pixels[0][a][k] = shape.to_pixels[0][a];
+                out.to_pixels[1][a][k] = shape.to_pixels[1][a];
+                out.jacobian[0][a][k] = ewa.jacobian[0][a];
+                out.jacobian[1][a][k] = ewa.jacobian[1][a];
+            }
+            for a in 0..4 {
+                out.quat[a][k] = d_quat[a];
+            }
+            out.opacity_logit[k] = e[5][k] * filtered.compensation * alpha * (1.0 - alpha);
+            out.valid[k] = if ewa.valid { 1.0 } else { 0.0 };
+        }
     }
 
     /// Derivative with respect to the pose, through the camera-space position, the projected shape and the camera
     /// centre `-R^-1 t` that the viewing direction starts from.
-    fn pose(&self, i: usize, ewa: &Ewa, shape: &ShapeGradient, from_direction: Vec3) -> PoseGradient {
+    #[inline(always)]
+    fn add_pose(&self, pose: &mut PoseGradient, i: usize, d: &BlockGradients, k: usize, direction: Vec3) {
+        let vector = |v: &[Column; 3]| DVec3::new(f64::from(v[0][k]), f64::from(v[1][k]), f64::from(v[2][k]));
         let rotation = self.camera.rotation.as_dmat3();
-        let mean = DVec3::from_array(self.gaussians.means[i].map(f64::from));
-        let (point, center) = (shape.point.as_dvec3(), self.camera.center);
-        let toward_center = rotation * from_direction.as_dvec3();
-        let mut d_rotation = outer(point, mean) - outer(rotation * center, from_direction.as_dvec3());
-        for k in 0..2 {
-            d_rotation += outer(ewa.jacobian[k].as_dvec3(), shape.to_pixels[k].as_dvec3());
+        let [x, y, z] = self.gaussians.means[i];
+        let (mean, point) = (DVec3::new(f64::from(x), f64::from(y), f64::from(z)), vector(&d.point));
+        let direction = direction.as_dvec3();
+        pose.rotation += outer(point, mean) - outer(rotation * self.camera.center, direction);
+        for row in 0..2 {
+            pose.rotation += outer(vector(&d.jacobian[row]), vector(&d.to_pixels[row]));
         }
-        PoseGradient { rotation: d_rotation, translation: point + toward_center }
+        pose.translation += point + rotation * direction;
     }
 }
 
+#[inline(always)]
+fn rotation_gradient(quat: [f32; 4], ewa: &Ewa, d_shape: &Mat3) -> [f32; 4] {
+    let d_rotation = Mat3::from_cols(
+        d_shape.x_axis * ewa.scales.x,
+        d_shape.y_axis * ewa.scales.y,
+        d_shape.z_axis * ewa.scales.z,
+    );
+    let (unit, length) = projection::normalised(quat);
+    let d = quaternion_gradient(unit, &d_rotation);
+    let along = d[0] * unit[0] + d[1] * unit[1] + d[2] * unit[2] + d[3] * unit[3];
+    let inverse = 1.0 / length;
+    let tangent = |k: usize| (d[k] - along * unit[k]) * inverse;
+    [tangent(0), tangent(1), tangent(2), tangent(3)]
+}
+
+#[inline(always)]
 fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
-/// `dL/dcov = -Q G Q` with `G` the symmetric derivative of the conic; the off-diagonal counts both entries.
-fn conic_to_covariance([a, b, c]: [f32; 3], [ga, gb, gc]: [f32; 3]) -> [f32; 3] {
-    let h = 0.5 * gb;
-    let (p00, p01) = (a * ga + b * h, a * h + b * gc);
-    let (p10, p11) = (b * ga + c * h, b * h + c * gc);
-    [-(p00 * a + p01 * b), -2.0 * (p00 * b + p01 * c), -(p10 * b + p11 * c)]
+/// Derivatives with respect to the filtered covariance, in the terms of [`projection::Ridge`].
+struct FootprintGradient {
+    slope: f32,
+    /// With respect to `1 / a`, the variance along x at a given y.
+    across: f32,
+    /// With respect to the slope, over the variance along y.
+    turn: f32,
+    /// With respect to the variance along y.
+    along: f32,
 }
 
-/// Through `compensation = sqrt(det / det_filtered)`; `upstream` is the derivative with respect to it.
-fn add_compensation(f: &projection::Filtered, raw: [f32; 3], upstream: f32, out: &mut [f32; 3]) {
+impl FootprintGradient {
+    /// From the second moments that an entry holds.
+    #[inline(always)]
+    fn new(f: &projection::Filtered, [across, mixed, along]: [f32; 3]) -> Self {
+        let (a, inverse_yy) = (f.conic[0], 1.0 / f.covariance[2]);
+        Self {
+            slope: f.covariance[1] * inverse_yy,
+            across: 0.5 * a * a * across,
+            turn: a * mixed * inverse_yy,
+            along: 0.5 * inverse_yy * inverse_yy * along,
+        }
+    }
+}
+
+/// With respect to the covariance (xx, xy, yy) through `compensation = sqrt(det / det_filtered)` where it is `free`;
+/// `upstream` is the derivative with respect to it.
+#[inline(always)]
+fn compensation_gradient(f: &projection::Filtered, raw: [f32; 3], free: bool, upstream: f32) -> [f32; 3] {
     let [det, det_filtered] = f.determinants;
     let ratio = upstream / (2.0 * f.compensation);
     let (d0, d1) = (ratio / det_filtered, -ratio * det / (det_filtered * det_filtered));
-    out[0] += d0 * raw[2] + d1 * f.covariance[2];
-    out[1] -= 2.0 * raw[1] * (d0 + d1);
-    out[2] += d0 * raw[0] + d1 * f.covariance[0];
+    let (d0, d1) = if free { (d0, d1) } else { (0.0, 0.0) };
+    [d0 * raw[2] + d1 * f.covariance[2], -2.0 * raw[1] * (d0 + d1), d0 * raw[0] + d1 * f.covariance[0]]
 }
 
 /// Derivatives with respect to the pieces of the EWA projection.
@@ -247,39 +371,58 @@ struct ShapeGradient {
     point: Vec3,
     /// With respect to `rotation * diag(scales)`.
     shape: Mat3,
+    /// With respect to the log scales.
+    log_scales: Vec3,
     /// With respect to the rows of Jacobian times camera rotation.
     to_pixels: [Vec3; 2],
 }
 
-fn shape_gradient(ewa: &Ewa, camera: &PinholeF32, [xx, xy, yy]: [f32; 3], mean2d: [f32; 2]) -> ShapeGradient {
+#[inline(always)]
+fn shape_gradient(
+    ewa: &Ewa,
+    camera: &PinholeF32,
+    f: &FootprintGradient,
+    [xx, xy, yy]: [f32; 3],
+    mean2d: [f32; 2],
+) -> ShapeGradient {
     let [u, v] = ewa.axes;
-    let d_axes = [2.0 * xx * u + xy * v, xy * u + 2.0 * yy * v];
-    let mut shape = Mat3::ZERO;
-    for (row, d) in ewa.to_pixels.iter().zip(&d_axes) {
-        shape += Mat3::from_cols(*row * d.x, *row * d.y, *row * d.z);
-    }
-    let to_pixels = d_axes.map(|d| ewa.shape * d);
-    let z = ewa.point.z;
-    let mut point = Vec3::ZERO;
-    for axis in 0..2 {
-        let f = camera.focal[axis];
-        let d_jacobian = camera.rotation * to_pixels[axis];
-        // Jacobian row: f/z on the axis, -f slope / z along the optical axis.
-        point.z -= f / (z * z) * d_jacobian[axis];
-        point.z += f * ewa.slope[axis] / (z * z) * d_jacobian.z;
-        if !ewa.clamped[axis] {
-            point[axis] -= f / (z * z) * d_jacobian.z;
-            point.z += f * ewa.slope[axis] / (z * z) * d_jacobian.z;
-        }
-        point[axis] += f / z * mean2d[axis];
-        point.z -= f * ewa.point[axis] / (z * z) * mean2d[axis];
-    }
-    ShapeGradient { point, shape, to_pixels }
+    // Distance of the axes' tips from the ridge: small along a needle, where u and slope v are large.
+    let w = u - f.slope * v;
+    let by_u = 2.0 * f.across * w + f.turn * v;
+    let by_v = f.turn * w + 2.0 * f.along * v;
+    let rest = [2.0 * xx * u + xy * v, xy * u + 2.0 * yy * v];
+    let d_axes = [by_u + rest[0], by_v - f.slope * by_u + rest[1]];
+    let log_scales = w * by_u + v * by_v + u * rest[0] + v * rest[1];
+    let [p, q] = ewa.to_pixels;
+    let shape = Mat3::from_cols(
+        p * d_axes[0].x + q * d_axes[1].x,
+        p * d_axes[0].y + q * d_axes[1].y,
+        p * d_axes[0].z + q * d_axes[1].z,
+    );
+    let to_pixels = [ewa.shape * d_axes[0], ewa.shape * d_axes[1]];
+    let rows = [camera.rotation * to_pixels[0], camera.rotation * to_pixels[1]];
+    let (dx, x_by_z) = axis_gradient(ewa, camera.focal[0], 0, [rows[0].x, rows[0].z, mean2d[0], ewa.point.x]);
+    let (dy, y_by_z) = axis_gradient(ewa, camera.focal[1], 1, [rows[1].y, rows[1].z, mean2d[1], ewa.point.y]);
+    ShapeGradient { point: Vec3::new(dx, dy, x_by_z + y_by_z), shape, log_scales, to_pixels }
+}
+
+/// Derivatives with respect to one image axis' coordinate and z of the camera-space position, given those with respect
+/// to the two entries of the Jacobian's row (f/z on the axis, -f slope / z along the optical axis) and to the mean.
+#[inline(always)]
+fn axis_gradient(ewa: &Ewa, f: f32, axis: usize, [on, along, mean, at]: [f32; 4]) -> (f32, f32) {
+    let inverse = 1.0 / ewa.point.z;
+    let (first, second) = (f * inverse, f * inverse * inverse);
+    let through_slope = second * ewa.slope[axis] * along;
+    let free = if ewa.clamped[axis] { 0.0 } else { 1.0 };
+    let d_axis = first * mean - free * second * along;
+    (d_axis, through_slope + free * through_slope - second * on - second * at * mean)
 }
 
 /// Derivative of `L(rotation_of(q))` with respect to the unit quaternion's entries.
+#[inline(always)]
 fn quaternion_gradient([w, x, y, z]: [f32; 4], d: &Mat3) -> [f32; 4] {
-    let at = |row: usize, column: usize| d.col(column)[row];
+    let m = d.to_cols_array();
+    let at = |row: usize, column: usize| m[3 * column + row];
     [
         2.0 * (x * (at(2, 1) - at(1, 2)) + y * (at(0, 2) - at(2, 0)) + z * (at(1, 0) - at(0, 1))),
         2.0 * (y * (at(0, 1) + at(1, 0)) + z * (at(0, 2) + at(2, 0)) + w * (at(2, 1) - at(1, 2)))

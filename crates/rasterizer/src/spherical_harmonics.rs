@@ -9,6 +9,7 @@ const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_33, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
 /// Basis values in direction `d` (unit); entries beyond `degree` are zero.
+#[inline(always)]
 pub fn basis(degree: usize, d: Vec3) -> [f32; 16] {
     let Vec3 { x, y, z } = d;
     let mut b = [0.0; 16];
@@ -39,6 +40,7 @@ pub fn basis(degree: usize, d: Vec3) -> [f32; 16] {
 }
 
 /// Partial derivatives of each basis polynomial with respect to the direction's components.
+#[inline(always)]
 pub(crate) fn basis_gradient(degree: usize, d: Vec3) -> [Vec3; 16] {
     let Vec3 { x, y, z } = d;
     let v = Vec3::new;
@@ -69,6 +71,7 @@ pub(crate) fn basis_gradient(degree: usize, d: Vec3) -> [Vec3; 16] {
 }
 
 /// Colour `sum basis * sh + 0.5` before the clamp at 0.
+#[inline(always)]
 pub(crate) fn colour(basis: &[f32; 16], sh: &[[f32; 3]]) -> Vec3 {
     sh.iter().zip(basis).fold(Vec3::splat(0.5), |c, (&s, &b)| c + b * Vec3::from(s))
 }

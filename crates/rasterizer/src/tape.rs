@@ -36,6 +36,8 @@ pub struct RenderTape {
     pub(crate) spans: Vec<Span>,
     pub(crate) lists: TileLists,
     pub(crate) pixels: Vec<TilePixels>,
+    /// Tiles that `image` shows.
+    pub(crate) drawn: Vec<bool>,
     /// Derivatives per (tile, splat) entry.
     pub(crate) entry_gradients: Vec<[f32; 9]>,
     /// Splat slot of each Gaussian, or `u32::MAX`.
@@ -53,6 +55,7 @@ impl Default for RenderTape {
             spans: Vec::new(),
             lists: TileLists::default(),
             pixels: Vec::new(),
+            drawn: Vec::new(),
             entry_gradients: Vec::new(),
             slot_of: Vec::new(),
         }

@@ -1,6 +1,6 @@
 //! Exact coverage of tiles by splats, and the depth-ordered list of every tile.
 
-use crate::projection::Splat;
+use crate::projection::{Extent, Splat};
 use crate::sort::radix_sort;
 use ffgs_core::{ImageSize, Mask};
 
@@ -68,33 +68,26 @@ pub(crate) struct Span {
 }
 
 /// Appends the tiles that a splat's ellipse `sigma <= reach` touches; `false` when none is active.
+#[inline(always)]
 pub(crate) fn cover(
     splat: &mut Splat,
-    covariance: [f32; 3],
+    extent: &Extent,
     grid: TileGrid,
     mask: Option<&TileMask>,
     spans: &mut Vec<Span>,
 ) -> bool {
     let start = spans.len();
-    let reach = splat.squared_reach();
-    let [a, b, _] = splat.conic;
-    let [xx, xy, _] = covariance;
-    let (half_width, half_height) = ((reach * xx).sqrt(), splat.half_height);
-    let (rows, tile) = (grid.rows as f32, TILE as f32);
-    let clamp_tile = |v: f32, count: f32| (v / tile).floor().clamp(-1.0, count) as i32;
-    let first_row = clamp_tile(splat.mean[1] - half_height - 0.5, rows).max(0);
-    let last_row = clamp_tile(splat.mean[1] + half_height - 0.5, rows).min(grid.rows as i32 - 1);
-    let right_tip = half_width * xy / xx; // the y offset of the ellipse's rightmost point
-    let edge = |dy: f32| (-b / a * dy, (reach / a - dy * dy * splat.shrink).max(0.0).sqrt());
+    let Splat { mean, half_height, .. } = *splat;
+    let (first_row, last_row) = tile_range(mean[1] - half_height, mean[1] + half_height, grid.rows);
+    let ellipse = Ellipse::new(splat, extent);
     for row in first_row..=last_row {
-        let top = (row as f32 * tile + 0.5 - splat.mean[1]).max(-half_height);
-        let bottom = (row as f32 * tile + tile - 0.5 - splat.mean[1]).min(half_height);
-        let (at_right, at_left) =
-            (right_tip.clamp(top, bottom.max(top)), (-right_tip).clamp(top, bottom.max(top)));
-        let ((cr, wr), (cl, wl)) = (edge(at_right), edge(at_left));
-        let first = clamp_tile(splat.mean[0] + cl - wl - 0.5 - 0.01, grid.columns as f32).max(0);
-        let last = clamp_tile(splat.mean[0] + cr + wr - 0.5 + 0.01, grid.columns as f32)
-            .min(grid.columns as i32 - 1);
+        let (low, high) = if first_row == last_row {
+            // All of its height lies in this row of tiles.
+            (mean[0] - extent.half_width, mean[0] + extent.half_width)
+        } else {
+            ellipse.columns((row as f32 * TILE as f32 + 0.5) - mean[1])
+        };
+        let (first, last) = tile_range(low, high, grid.columns);
         if first <= last {
             let span = Span { row: row as u32, first: first as u32, end: last as u32 + 1 };
             if mask.is_none_or(|m| m.any(span)) {
@@ -104,6 +97,52 @@ pub(crate) fn cover(
     }
     splat.spans = (start as u32, (spans.len() - start) as u32);
     spans.len() > start
+}
+
+/// First and last of `count` tiles with a pixel centre in `low..=high` (px); the first comes after the last if none.
+#[inline(always)]
+fn tile_range(low: f32, high: f32, count: usize) -> (i32, i32) {
+    const SHARE: f32 = 1.0 / TILE as f32;
+    let at = |v: f32| ((v - 0.5) * SHARE).max(-1.0).min(count as f32).floor() as i32;
+    (at(low).max(0), at(high).min(count as i32 - 1))
+}
+
+/// The outline `sigma = reach`, relative to the splat's centre.
+struct Ellipse {
+    half_height: f32,
+    /// Vertical offset of the rightmost point.
+    tip: f32,
+    slope: f32,
+    reach_over_a: f32,
+    shrink: f32,
+    centre: f32,
+}
+
+impl Ellipse {
+    #[inline(always)]
+    fn new(splat: &Splat, extent: &Extent) -> Self {
+        let ([a, b, _], [xx, xy]) = (splat.conic, extent.covariance);
+        let reach = splat.squared_reach();
+        Self {
+            half_height: splat.half_height,
+            tip: (reach / xx).sqrt() * xy,
+            slope: -b / a,
+            reach_over_a: reach / a,
+            shrink: splat.shrink,
+            centre: splat.mean[0],
+        }
+    }
+
+    /// Horizontal extent (px) over the pixel centres of the row of tiles that begins at the vertical offset `top`.
+    #[inline(always)]
+    fn columns(&self, top: f32) -> (f32, f32) {
+        let bottom = (top + (TILE - 1) as f32).min(self.half_height);
+        let top = top.max(-self.half_height);
+        let bottom = bottom.max(top);
+        let (right, left) = (self.tip.max(top).min(bottom), (-self.tip).max(top).min(bottom));
+        let half = |dy: f32| (self.reach_over_a - dy * dy * self.shrink).max(0.0).sqrt() + 0.01;
+        (self.centre + self.slope * left - half(left), self.centre + self.slope * right + half(right))
+    }
 }
 
 /// Depth-ordered splat lists of all tiles.

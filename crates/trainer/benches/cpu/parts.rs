@@ -1,6 +1,6 @@
-//! Loss with gradient, and Adam: `cargo bench -p ffgs-trainer`.
+//! Loss with gradient, and Adam.
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{BenchmarkId, Criterion, Throughput};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, PlanarImage};
 use ffgs_trainer::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use std::hint::black_box;
@@ -14,7 +14,7 @@ fn images(size: ImageSize) -> (PlanarImage, ImageRgb8) {
 }
 
 /// An ellipse with the given share of the image.
-fn ellipse(size: ImageSize, share: f64) -> Mask {
+pub fn ellipse(size: ImageSize, share: f64) -> Mask {
     let (w, h) = (size.width as f64, size.height as f64);
     // Area pi a b w h with a = b.
     let radius = (share / std::f64::consts::PI).sqrt();
@@ -25,15 +25,17 @@ fn ellipse(size: ImageSize, share: f64) -> Mask {
     Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte a pixel")
 }
 
-fn loss(c: &mut Criterion) {
+/// One evaluation; elements = samples (pixels times channels) that count.
+pub fn loss(c: &mut Criterion) {
     let mut group = c.benchmark_group("loss");
     for (width, height) in [(320, 180), (1280, 720)] {
         let size = ImageSize { width, height };
         let (rendered, target) = images(size);
         let mask = ellipse(size, 0.08);
         let mut gradient = PlanarImage::zeros(size);
-        group.throughput(Throughput::Elements(size.pixels() as u64));
         for (name, region) in [("full", LossRegion::Full), ("masked8", LossRegion::Mask(&mask))] {
+            let counted = if name == "full" { size.pixels() } else { mask.count() };
+            group.throughput(Throughput::Elements(3 * counted as u64));
             let mut loss = PhotometricLoss::new();
             group.bench_function(BenchmarkId::new(name, format!("{width}x{height}")), |b| {
                 b.iter(|| black_box(loss.evaluate(&rendered, &target, region, &mut gradient)));
@@ -43,25 +45,20 @@ fn loss(c: &mut Criterion) {
     group.finish();
 }
 
-fn adam(c: &mut Criterion) {
+/// One step of 100 k Gaussians; bytes = parameter, gradient and moments read, all but the gradient written.
+pub fn adam(c: &mut Criterion) {
     const COUNT: usize = 100_000;
-    let mut group = c.benchmark_group("adam_degree3_100k");
-    group.throughput(Throughput::Elements(COUNT as u64));
+    let mut group = c.benchmark_group("adam");
     let mut gradient = Gaussians::zeros(COUNT, 3);
     gradient.sh.as_flattened_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (i as f32).sin());
     let tenth: Vec<bool> = (0..COUNT).map(|i| i % 10 == 0).collect();
     let rates = LearningRates::with_means(1e-4);
     for (name, update) in [("dense", Update::Dense), ("touched10", Update::Touched(&tenth))] {
+        let moved = if name == "dense" { COUNT } else { COUNT / 10 };
+        group.throughput(Throughput::Bytes((moved * 59 * 28) as u64));
         let mut gaussians = Gaussians::zeros(COUNT, 3);
         let mut adam = Adam::new(COUNT, 3);
         group.bench_function(name, |b| b.iter(|| adam.step(&mut gaussians, &gradient, &rates, update)));
     }
     group.finish();
 }
-
-criterion_group! {
-    name = benches;
-    config = Criterion::default().sample_size(20).measurement_time(std::time::Duration::from_secs(2));
-    targets = loss, adam
-}
-criterion_main!(benches);
