@@ -26,6 +26,8 @@ struct Ewa {
     shape: mat3x3f,
     // Projected axes: the covariance is their rows' inner products.
     axes: array<vec3f, 2>,
+    // Their cross product.
+    area: vec3f,
     // Unfiltered and filtered covariance xx, xy, yy (px^2) and their determinants.
     covariance: vec3f,
     filtered: vec3f,
@@ -90,16 +92,22 @@ fn project_shape(g: Geometry) -> Ewa {
     e.covariance = vec3f(dot(e.axes[0], e.axes[0]), dot(e.axes[0], e.axes[1]), dot(e.axes[1], e.axes[1]));
     e.filtered = e.covariance + vec3f(PIXEL_FILTER, 0.0, PIXEL_FILTER);
     // xx yy - xy^2 cancels for needles; as the squared area of the projected axes nothing does (Lagrange's identity).
-    let area = cross(e.axes[0], e.axes[1]);
-    let determinant = dot(area, area);
+    e.area = cross(e.axes[0], e.axes[1]);
+    let determinant = dot(e.area, e.area);
     let trace = e.covariance.x + e.covariance.z;
     e.determinants = vec2f(determinant, determinant + PIXEL_FILTER * trace + PIXEL_FILTER * PIXEL_FILTER);
     e.valid = all_finite(e.filtered) && is_finite(e.determinants.y) && e.determinants.y > 0.0;
     return e;
 }
 
+// Inverse of the filtered covariance: xx, xy, yy (1/px^2).
 fn conic_of(e: Ewa) -> vec3f {
     return vec3f(e.filtered.z, -e.filtered.y, e.filtered.x) / e.determinants.y;
+}
+
+// The same as `Splat.shape`: its Cholesky factors.
+fn shape_of(e: Ewa) -> vec3f {
+    return vec3f(-e.filtered.y / e.filtered.z, 0.5 * e.filtered.z / e.determinants.y, 0.5 / e.filtered.z);
 }
 
 // Share of the splat that survives the pixel filter (Mip-Splatting); 1 when not asked for.

@@ -46,8 +46,9 @@ struct Splat {
     depth: f32,
     // Antialiasing compensation included.
     opacity: f32,
-    // Inverse of the filtered covariance: xx, xy, yy (1/px^2).
-    conic: vec3f,
+    // The exponent of offset d as a sum of squares, sigma = y (d.x + x d.y)^2 + z d.y^2: the form with the inverse
+    // covariance cancels for needles.
+    shape: vec3f,
     padding: f32,
     // Clamped at 0.
     colour: vec3f,

@@ -5,14 +5,14 @@
 const BATCH: u32 = 64u;
 const ROWS: u32 = 4u;
 
-var<workgroup> batch_shape: array<vec4f, 64>;   // mean x, y; conic xx, xy
-var<workgroup> batch_colour: array<vec4f, 64>;  // conic yy; opacity; colour r, g
+var<workgroup> batch_shape: array<vec4f, 64>;   // mean; shape x, y
+var<workgroup> batch_colour: array<vec4f, 64>;  // shape z; opacity; colour r, g
 var<workgroup> batch_rest: array<vec2f, 64>;    // colour b; entry (bits)
 var<workgroup> batch_index: array<u32, 64>;     // Gaussian
 
 fn load_splat(local: u32, item: vec2u, splat: Splat) {
-    batch_shape[local] = vec4f(splat.mean, splat.conic.x, splat.conic.y);
-    batch_colour[local] = vec4f(splat.conic.z, splat.opacity, splat.colour.x, splat.colour.y);
+    batch_shape[local] = vec4f(splat.mean, splat.shape.xy);
+    batch_colour[local] = vec4f(splat.shape.z, splat.opacity, splat.colour.x, splat.colour.y);
     batch_rest[local] = vec2f(splat.colour.z, bitcast<f32>(item.x));
     batch_index[local] = item.y;
 }
@@ -45,11 +45,11 @@ fn alpha_at(k: u32, pixel: vec2u) -> Alpha {
     let colour = batch_colour[k];
     var a: Alpha;
     a.delta = vec2f(pixel) + 0.5 - shape.xy;
-    let d = a.delta;
-    let sigma = (0.5 * shape.z * d.x + shape.w * d.y) * d.x + 0.5 * colour.x * d.y * d.y;
+    let along = a.delta.x + shape.z * a.delta.y;
+    let sigma = shape.w * along * along + colour.x * a.delta.y * a.delta.y;
     a.falloff = exp(-sigma);
     let alpha = min(MAX_ALPHA, colour.y * a.falloff);
-    a.alpha = select(0.0, alpha, sigma >= 0.0 && alpha >= MIN_ALPHA);
+    a.alpha = select(0.0, alpha, alpha >= MIN_ALPHA);
     return a;
 }
 

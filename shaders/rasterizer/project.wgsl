@@ -27,7 +27,7 @@ struct Cover {
     rows: u32,
     squared_reach: f32,
     half_height: f32,
-    // Determinant of the conic over conic.xx^2: how the ellipse narrows away from its centre row.
+    // How the square of the ellipse's half width falls with the square of the height.
     shrink: f32,
     // Height of the ellipse's rightmost point.
     right_tip: f32,
@@ -46,7 +46,7 @@ fn cover_of(splat: Splat, e: Ewa) -> Cover {
     var c: Cover;
     c.squared_reach = squared_reach(splat.opacity);
     c.half_height = sqrt(c.squared_reach * e.filtered.z) + 1e-3;
-    c.shrink = 1.0 / (e.determinants.y * splat.conic.x * splat.conic.x);
+    c.shrink = splat.shape.z / splat.shape.y;
     c.right_tip = sqrt(c.squared_reach * e.filtered.x) * e.filtered.y / e.filtered.x;
     let rows = f32(view.tiles.y);
     c.first_row = max(tile_of(splat.mean.y - c.half_height - 0.5, rows), 0);
@@ -57,8 +57,8 @@ fn cover_of(splat: Splat, e: Ewa) -> Cover {
 
 // Centre and half width of the ellipse at height dy.
 fn edge(splat: Splat, c: Cover, dy: f32) -> vec2f {
-    let half_width = sqrt(max(c.squared_reach / splat.conic.x - dy * dy * c.shrink, 0.0));
-    return vec2f(-splat.conic.y / splat.conic.x * dy, half_width);
+    let half_width = sqrt(max(0.5 * c.squared_reach / splat.shape.y - dy * dy * c.shrink, 0.0));
+    return vec2f(-splat.shape.x * dy, half_width);
 }
 
 // First tile (x) and end (y) in a tile row; empty when they are equal.
@@ -116,7 +116,7 @@ fn project(
         if e.valid && splat.opacity >= MIN_ALPHA {
             splat.mean = view.focal * e.point.xy / e.point.z + view.principal;
             splat.depth = e.point.z;
-            splat.conic = conic_of(e);
+            splat.shape = shape_of(e);
             offset = e.offset;
             if is_finite(splat.mean.x) && is_finite(splat.mean.y) {
                 cover = cover_of(splat, e);

@@ -13,23 +13,30 @@
 // Per Gaussian, derivatives by the rows of the rotation and by the translation of camera_from_world; only when asked for.
 @group(0) @binding(8) var<storage, read_write> pose: array<array<f32, 12>>;
 
-// dL/dcov = -Q G Q with G the symmetric derivative of the conic; the off-diagonal counts both entries.
-fn conic_to_covariance(conic: vec3f, g: vec3f) -> vec3f {
-    let h = 0.5 * g.y;
-    let p = vec4f(
-        conic.x * g.x + conic.y * h,
-        conic.x * h + conic.y * g.z,
-        conic.y * g.x + conic.z * h,
-        conic.y * h + conic.z * g.z,
+// Derivative by the projected axes, a column per axis of the Gaussian: -2 Q G Q a, with Q the conic and G the symmetric
+// derivative by it. Q a cancels for needles; in its place adj(C) a = sum over other axes b of (b x a) b' + 0.3 a, where
+// b' is b turned by a right angle and the products b x a are the components of `area`.
+fn axes_gradient(e: Ewa, conic: vec3f, g: vec3f) -> array<vec3f, 2> {
+    let x = e.axes[0];
+    let y = e.axes[1];
+    let turned_x = vec3f(
+        y.y * e.area.z - y.z * e.area.y,
+        y.z * e.area.x - y.x * e.area.z,
+        y.x * e.area.y - y.y * e.area.x,
     );
-    return vec3f(
-        -(p.x * conic.x + p.y * conic.y),
-        -2.0 * (p.x * conic.y + p.y * conic.z),
-        -(p.z * conic.y + p.w * conic.z),
+    let turned_y = vec3f(
+        x.z * e.area.y - x.y * e.area.z,
+        x.x * e.area.z - x.z * e.area.x,
+        x.y * e.area.x - x.x * e.area.y,
     );
+    let qx = (turned_x + PIXEL_FILTER * x) / e.determinants.y;
+    let qy = (turned_y + PIXEL_FILTER * y) / e.determinants.y;
+    let gx = -2.0 * g.x * qx - g.y * qy;
+    let gy = -g.y * qx - 2.0 * g.z * qy;
+    return array(conic.x * gx + conic.y * gy, conic.y * gx + conic.z * gy);
 }
 
-// Through compensation = sqrt(det / det_filtered); `upstream` is the derivative by it.
+// By the covariance, through compensation = sqrt(det / det_filtered); `upstream` is the derivative by it.
 fn compensation_gradient(e: Ewa, upstream: f32) -> vec3f {
     let ratio = e.determinants.x / e.determinants.y;
     if view.antialiased == 0u || !(ratio > MIN_COMPENSATION * MIN_COMPENSATION) {
@@ -54,12 +61,8 @@ struct ShapeGradient {
     to_pixels: array<vec3f, 2>,
 }
 
-fn shape_gradient(e: Ewa, covariance: vec3f, mean2d: vec2f) -> ShapeGradient {
+fn shape_gradient(e: Ewa, d_axes: array<vec3f, 2>, mean2d: vec2f) -> ShapeGradient {
     var g: ShapeGradient;
-    let d_axes = array(
-        2.0 * covariance.x * e.axes[0] + covariance.y * e.axes[1],
-        covariance.y * e.axes[0] + 2.0 * covariance.z * e.axes[1],
-    );
     let rotation = camera_rotation();
     let z = e.point.z;
     for (var axis = 0u; axis < 2u; axis++) {
@@ -179,9 +182,11 @@ fn projection_backward(
     let conic = conic_of(e);
     let mean2d = vec2f(conic.x * s[0] + conic.y * s[1], conic.y * s[0] + conic.z * s[1]);
     let alpha = sigmoid(g.opacity_logit);
-    let covariance = conic_to_covariance(conic, vec3f(-0.5 * s[2], -s[3], -0.5 * s[4]))
-        + compensation_gradient(e, s[5] * alpha);
-    let shape = shape_gradient(e, covariance, mean2d);
+    var d_axes = axes_gradient(e, conic, vec3f(-0.5 * s[2], -s[3], -0.5 * s[4]));
+    let compensation = compensation_gradient(e, s[5] * alpha);
+    d_axes[0] += 2.0 * compensation.x * e.axes[0] + compensation.y * e.axes[1];
+    d_axes[1] += compensation.y * e.axes[0] + 2.0 * compensation.z * e.axes[1];
+    let shape = shape_gradient(e, d_axes, mean2d);
 
     let fresh = ledger[i].stamp != view.stamp;
     let from_direction = colour_gradient(i, e.offset, vec3f(s[6], s[7], s[8]), fresh);
