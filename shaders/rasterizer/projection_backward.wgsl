@@ -205,6 +205,9 @@ fn projection_backward(
     d.opacity_logit += s[5] * compensation_of(e) * alpha * (1.0 - alpha);
     geometry_gradient[i] = d;
     ledger[i].stamp = view.stamp;
+    if fresh {
+        ledger[i].steps += 1u;
+    }
     ledger[i].views += 1u;
     ledger[i].gradient_norm += length(mean2d * vec2f(view.size) * 0.5);
     if view.with_pose != 0u {

@@ -30,6 +30,7 @@ mod commands;
 mod device;
 mod error;
 mod kernel;
+pub mod reflection;
 
 pub use adapter::{AdapterReport, adapters, hardware_adapter};
 pub use buffer::Buffer;

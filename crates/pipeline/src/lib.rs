@@ -5,6 +5,7 @@ pub mod cli;
 pub mod config;
 mod config_text;
 mod console;
+pub mod device;
 pub mod eval;
 mod frame;
 mod manifest;

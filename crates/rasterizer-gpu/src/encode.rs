@@ -43,7 +43,7 @@ pub fn render(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch
 }
 
 /// Everything before blending: the depth-ordered list of each tile.
-pub(crate) fn deal(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
+pub fn deal(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
     let (s, n) = (scratch, scene.count);
     let order = &s.keys[0];
     commands.clear(&s.spans_used);
@@ -121,6 +121,22 @@ fn sort_by_tile<'a>(commands: &mut Commands, s: &'a Scratch, slots: usize) -> &'
 /// Bits that tell `count` values apart.
 fn bits_of(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
+}
+
+/// Nearest depth per computed tile of what was dealt last, into `depths` (f32 a slot); empty tiles take that of the
+/// closest tiles that are not.
+pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
+    let s = scratch;
+    let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, &view.tile_slots, depths];
+    commands.run(&kernels::TILE_DEPTHS, &buffers, Groups::of(view.slots(), GROUP));
+}
+
+/// Blends what was dealt last into the layers of `view`, cut at `depths`: what is nearer in front, the rest over the
+/// background that the layers hold.
+pub fn render_split(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
+    let s = scratch;
+    let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, depths, &view.layers];
+    commands.run(&kernels::BLEND_SPLIT, &buffers, Groups::of(view.slots(), 1));
 }
 
 /// Adds the derivatives of the loss whose derivative by the last render's pixels is `scratch.upstream`.

@@ -41,11 +41,13 @@ kernel!(EMIT_PAIRS, "emit_pairs", [VIEW]);
 kernel!(TILE_RANGES, "tile_ranges", [PLAN]);
 kernel!(BLEND, "blend", [VIEW, WALK]);
 kernel!(BLEND_BACKWARD, "blend_backward", [VIEW, WALK, REDUCE]);
+kernel!(TILE_DEPTHS, "tile_depths", [VIEW]);
+kernel!(BLEND_SPLIT, "blend_split", [VIEW, WALK]);
 kernel!(PROJECTION_BACKWARD, "projection_backward", [VIEW, SH, EWA, LEDGER]);
 
 /// Every kernel of this crate.
 #[cfg(test)]
-pub(crate) const ALL: [Kernel; 13] = [
+pub(crate) const ALL: [Kernel; 15] = [
     PROJECT,
     RANK_COUNTS,
     SCAN_BLOCKS,
@@ -59,4 +61,6 @@ pub(crate) const ALL: [Kernel; 13] = [
     BLEND,
     BLEND_BACKWARD,
     PROJECTION_BACKWARD,
+    TILE_DEPTHS,
+    BLEND_SPLIT,
 ];

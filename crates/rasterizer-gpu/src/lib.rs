@@ -34,7 +34,7 @@ mod scratch;
 mod shader_tests;
 mod view;
 
-pub use encode::{backward, prepare, render};
+pub use encode::{backward, deal, prepare, render, render_split, tile_depths};
 pub use layout::{Geometry, Ledger};
 pub use rasterize::{GpuRasterizer, Rendered};
 pub use scene::{GpuGradients, GpuScene};

@@ -42,12 +42,25 @@ impl GpuView {
         Ok(view)
     }
 
-    /// A view whose layers are filled on the device.
-    pub fn layered(gpu: &Gpu, camera: &Camera, mask: Option<&TileMask>) -> Result<Self, GpuError> {
+    /// A view whose layers are filled on the device; `shared` ones serve several views in turn.
+    pub fn layered(
+        gpu: &Gpu,
+        camera: &Camera,
+        mask: Option<&TileMask>,
+        shared: Option<&Buffer>,
+    ) -> Result<Self, GpuError> {
         let mut view = Self::without_layers(gpu, camera, mask)?;
         view.constants.layered = 1;
-        view.layers = gpu.buffer("layers", (view.tiles.len() * AREA * 32) as u64)?;
+        view.layers = match shared {
+            Some(layers) => layers.clone(),
+            None => gpu.buffer("layers", Self::layer_bytes(view.tiles.len()))?,
+        };
         Ok(view)
+    }
+
+    /// Bytes of the layers of `slots` tiles.
+    pub fn layer_bytes(slots: usize) -> u64 {
+        (slots * AREA * 32) as u64
     }
 
     fn without_layers(gpu: &Gpu, camera: &Camera, mask: Option<&TileMask>) -> Result<Self, GpuError> {
