@@ -66,9 +66,8 @@ fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
 fn photographs(truth: &Gaussians, moving: &Gaussians) -> Vec<TrainingView> {
     let (sky, black) = (SkyCube::filled(8, SKY), SkyCube::filled(8, [0.0; 3]));
     let mut white = moving.clone();
-    for i in 0..white.len() {
-        white.sh[i * white.sh_stride()] = [10.0; 3];
-    }
+    let stride = white.sh_stride();
+    white.sh.iter_mut().step_by(stride).for_each(|sh0| *sh0 = [10.0; 3]);
     let view = |camera: Camera| {
         let covered = render(&white, &black, &camera);
         let mask = covered.plane(0).iter().map(|&v| u8::from(v > 0.4)).collect();
