@@ -11,8 +11,9 @@
 // Row-major, four a pixel: derivatives by R, G, B and by the transmittance (0).
 @group(0) @binding(7) var<storage, read_write> upstream: array<f32>;
 
-var<workgroup> maps: array<vec3f, 676>;
-var<workgroup> rows: array<vec3f, 416>;
+// Three values an entry; as vec3f they would take the room of four.
+var<workgroup> maps: array<f32, 2028>;
+var<workgroup> rows: array<f32, 1248>;
 
 fn load(origin: vec2i, channel: u32, local: u32) {
     for (var i = local; i < HALO * HALO; i += 256u) {
@@ -24,7 +25,9 @@ fn load(origin: vec2i, channel: u32, local: u32) {
                 partial = partials[pixel * 3u + channel].xyz;
             }
         }
-        maps[i] = partial;
+        maps[i * 3u] = partial.x;
+        maps[i * 3u + 1u] = partial.y;
+        maps[i * 3u + 2u] = partial.z;
     }
 }
 
@@ -42,11 +45,13 @@ fn loss_gradient(
     workgroupBarrier();
     for (var i = local; i < HALO * TILE; i += 256u) {
         let first = i / TILE * HALO + i % TILE;
-        var sum = vec3f(0.0);
-        for (var t = 0u; t < 11u; t++) {
-            sum += tap(t) * maps[first + t];
+        for (var m = 0u; m < 3u; m++) {
+            var sum = 0.0;
+            for (var t = 0u; t < 11u; t++) {
+                sum += tap(t) * maps[(first + t) * 3u + m];
+            }
+            rows[i * 3u + m] = sum;
         }
-        rows[i] = sum;
     }
     workgroupBarrier();
     let p = origin + vec2i(i32(local % TILE), i32(local / TILE));
@@ -57,7 +62,8 @@ fn loss_gradient(
         if is_counted(pixel) {
             var mean = vec3f(0.0);
             for (var t = 0u; t < 11u; t++) {
-                mean += tap(t) * rows[local + t * TILE];
+                let at = (local + t * TILE) * 3u;
+                mean += tap(t) * vec3f(rows[at], rows[at + 1u], rows[at + 2u]);
             }
             let x = pixels[pixel][channel];
             let y = target_at(pixel, channel);

@@ -233,7 +233,7 @@ fn the_static_lane_agrees() {
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
     let mut start = perturbed(&truth, 8);
     start.means.clone_from(&truth.means);
-    let config = BackgroundConfig { static_iterations: 60, sh0_rate: 1e-2, ..BackgroundConfig::default() };
+    let config = BackgroundConfig { static_method: StaticMethod::Steps, static_iterations: 60, sh0_rate: 1e-2, ..BackgroundConfig::default() };
     let (mut cpu, mut found) = (start.clone(), start.clone());
     ffgs_trainer::StaticLane::default().train(&config, &views, &sky, &mut cpu, 3, &mut |_| {});
     train_static(&gpu, &config, &views, &sky, &mut found, 3, &mut |_| {}).unwrap();
