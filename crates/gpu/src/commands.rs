@@ -47,6 +47,11 @@ impl<'a> Commands<'a> {
         }
     }
 
+    /// The variant for this device.
+    pub fn pick<'k>(&self, plain: &'k Kernel, subgroups: &'k Kernel) -> &'k Kernel {
+        if self.gpu.has_subgroups() { subgroups } else { plain }
+    }
+
     /// Fills a buffer with zeros.
     pub fn clear(&mut self, buffer: &Buffer) {
         self.pass = None;

@@ -86,6 +86,13 @@ impl Gpu {
         }
     }
 
+    /// The same device with the kernels for adapters without subgroup operations.
+    #[must_use]
+    pub fn without_subgroups(mut self) -> Self {
+        self.report.subgroups = None;
+        self
+    }
+
     /// The adapter.
     pub fn report(&self) -> &AdapterReport {
         &self.report

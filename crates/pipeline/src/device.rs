@@ -50,6 +50,11 @@ impl Device {
     }
 }
 
+/// Name of what computes, for the record of a run: results are the same on one device only.
+pub(crate) fn name(gpu: Option<&Gpu>) -> String {
+    gpu.map_or_else(|| "cpu".to_owned(), |gpu| format!("gpu, {}", gpu.report().name))
+}
+
 /// Prints every adapter, and what `auto` takes.
 pub fn list() {
     let adapters = ffgs_gpu::adapters();

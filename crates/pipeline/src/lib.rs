@@ -8,6 +8,7 @@ mod console;
 pub mod device;
 pub mod eval;
 mod frame;
+mod lanes;
 mod manifest;
 mod motion;
 pub mod motion_eval;

@@ -159,7 +159,8 @@ pub fn backward(
         &s.upstream,
         &s.entries,
     ];
-    commands.run(&kernels::BLEND_BACKWARD, &blend, Groups::of(view.slots(), 1));
+    let kernel = commands.pick(&kernels::BLEND_BACKWARD, &kernels::BLEND_BACKWARD_SUBGROUPS);
+    commands.run(kernel, &blend, Groups::of(view.slots(), 1));
     let project = [
         &view.uniform,
         &scene.geometry,

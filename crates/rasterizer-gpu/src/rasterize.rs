@@ -11,9 +11,9 @@ use glam::{DMat3, DVec3};
 /// Renders on the device and brings the results to the host: for single stages, pictures and tests. Training keeps
 /// everything on the device and calls [`crate::render`] and [`crate::backward`] itself.
 pub struct GpuRasterizer<'a> {
-    gpu: &'a Gpu,
+    pub(crate) gpu: &'a Gpu,
     options: RenderOptions,
-    scratch: Scratch,
+    pub(crate) scratch: Scratch,
 }
 
 /// A rendered view.

@@ -176,6 +176,39 @@ fn random_scenes_agree() {
         },
     ];
     cases.iter().for_each(|case| compare(&gpu, case));
+    let plain = gpu.without_subgroups();
+    cases.iter().for_each(|case| compare(&plain, case));
+}
+
+#[test]
+fn footprints_and_top_contributors_agree() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let (camera, gaussians, tiles) = (camera(), scene(200, 0, 11), foreground());
+    let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
+    // More channels than one pass sums; the first one has zeros.
+    let pictures: Vec<PlanarImage> = (20..24).map(picture).collect();
+    let mut planes: Vec<Vec<f32>> =
+        pictures.iter().flat_map(|p| [0, 1, 2].map(|c| p.plane(c).to_vec())).collect();
+    planes[0].iter_mut().step_by(3).for_each(|v| *v = 0.0);
+    let channels: Vec<&[f32]> = planes.iter().map(Vec::as_slice).collect();
+    let cpu = CpuRasterizer::new(RenderOptions::default());
+    let (mut tape, mut expected) = (RenderTape::default(), ffgs_rasterizer::FootprintSums::default());
+    cpu.accumulate(&gaussians, &view, &channels, &mut tape, &mut expected);
+    let top = cpu.top_contributors(&gaussians, &view, 5, &mut tape);
+    for gpu in [gpu, Gpu::for_test().unwrap().without_subgroups()] {
+        let mut rasterizer = GpuRasterizer::new(&gpu, RenderOptions::default()).unwrap();
+        let found = rasterizer.accumulate(&gaussians, &view, &channels).unwrap();
+        for i in 0..gaussians.len() {
+            assert!(found.hits(i).abs_diff(expected.hits(i)) <= 2, "hits of {i}");
+            for (a, b) in found.of(i).iter().zip(expected.of(i)) {
+                assert!((a - b).abs() <= 1e-2 + 1e-4 * b.abs(), "sums of {i}: {a}, not {b}");
+            }
+        }
+        let found = rasterizer.top_contributors(&gaussians, &view, 5).unwrap();
+        compare_pixels("top weights", &found.weights, &top.weights);
+        let same = found.indices.iter().zip(&top.indices).filter(|(a, b)| a == b).count();
+        assert!(same as f64 >= 0.998 * top.indices.len() as f64, "{same} of {}", top.indices.len());
+    }
 }
 
 /// Parameters that no optimiser should produce, and those on a threshold: what one twin shows, the other shows, and

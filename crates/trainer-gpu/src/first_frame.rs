@@ -4,16 +4,15 @@ use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::{Workspace, largest_view, shared_layers};
-use ffgs_core::Gaussians;
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
 use ffgs_trainer::{
-    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, SkyCube,
-    TrainingView, decay, density_config, reset_opacities,
+    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, TrainingView,
+    decay, density_config, reset_opacities,
 };
 
-/// Trains frame 0, as [`ffgs_trainer::train_first_frame`] does.
+/// Trains frame 0 from `start`, as [`ffgs_trainer::train_first_frame`] does.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -21,16 +20,15 @@ pub fn train_first_frame(
     gpu: &Gpu,
     config: &FirstFrameConfig,
     views: &[TrainingView],
-    initial: Gaussians,
-    mut sky: SkyCube,
+    start: FirstFrame,
     extent: f32,
     seed: u64,
     report: &mut dyn FnMut(Progress),
 ) -> Result<FirstFrame, GpuError> {
     if config.iterations == 0 || views.is_empty() {
-        return Ok(FirstFrame { gaussians: initial, sky });
+        return Ok(start);
     }
-    let mut training = Training::new(gpu, config, views, &initial, &sky, extent, seed)?;
+    let mut training = Training::new(gpu, config, views, &start, extent, seed)?;
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     for iteration in 0..config.iterations {
         let Some(index) = epochs.draw() else { break };
@@ -39,6 +37,7 @@ pub fn train_first_frame(
         training.workspace.report(iteration + 1, config.iterations, &training.optimiser, report)?;
     }
     training.warn_of_missing_room()?;
+    let mut sky = start.sky;
     training.sky.download(gpu, &mut sky)?;
     let gaussians = training.optimiser.download()?;
     gpu.release_unused();
@@ -60,8 +59,7 @@ impl<'a> Training<'a> {
         gpu: &'a Gpu,
         config: &'a FirstFrameConfig,
         views: &[TrainingView],
-        gaussians: &Gaussians,
-        sky: &SkyCube,
+        FirstFrame { gaussians, sky }: &FirstFrame,
         extent: f32,
         seed: u64,
     ) -> Result<Self, GpuError> {

@@ -10,8 +10,8 @@ use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::Ledger;
 use ffgs_trainer::{
-    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrameConfig, LearningRates, LossRegion, PhotometricLoss,
-    SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
+    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LearningRates, LossRegion,
+    PhotometricLoss, SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
 };
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -233,7 +233,12 @@ fn the_static_lane_agrees() {
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
     let mut start = perturbed(&truth, 8);
     start.means.clone_from(&truth.means);
-    let config = BackgroundConfig { static_method: StaticMethod::Steps, static_iterations: 60, sh0_rate: 1e-2, ..BackgroundConfig::default() };
+    let config = BackgroundConfig {
+        static_method: StaticMethod::Steps,
+        static_iterations: 60,
+        sh0_rate: 1e-2,
+        ..BackgroundConfig::default()
+    };
     let (mut cpu, mut found) = (start.clone(), start.clone());
     ffgs_trainer::StaticLane::default().train(&config, &views, &sky, &mut cpu, 3, &mut |_| {});
     train_static(&gpu, &config, &views, &sky, &mut found, 3, &mut |_| {}).unwrap();
@@ -258,9 +263,17 @@ fn the_first_frame_agrees() {
     };
     let cpu =
         ffgs_trainer::train_first_frame(&config, &views, start.clone(), sky.clone(), 2.0, 4, &mut |_| {});
-    let found =
-        train_first_frame(&gpu, &config, &views, start.clone(), sky.clone(), 2.0, 4, &mut |_| {}).unwrap();
+    let found = train_first_frame(
+        &gpu,
+        &config,
+        &views,
+        FirstFrame { gaussians: start.clone(), sky: sky.clone() },
+        2.0,
+        4,
+        &mut |_| {},
+    )
+    .unwrap();
     assert!(found.gaussians.len() > start.len() && found.gaussians.is_finite());
-    let quality = |f: &ffgs_trainer::FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
+    let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
     assert_equal_quality("first frame", mean_psnr(&start, &sky, &views), quality(&cpu), quality(&found));
 }
