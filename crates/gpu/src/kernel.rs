@@ -13,7 +13,6 @@ pub struct Kernel {
 impl Kernel {
     /// The whole module.
     pub fn text(&self) -> String {
-        let head = if self.subgroups { "enable subgroups;\n" } else { "" };
-        head.to_owned() + &self.source.join("\n")
+        self.source.join("\n")
     }
 }

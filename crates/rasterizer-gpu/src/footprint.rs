@@ -1,4 +1,3 @@
-use crate::encode;
 use crate::kernels;
 use crate::layout::ENTRY;
 use crate::rasterize::GpuRasterizer;
