@@ -1,8 +1,14 @@
-// Exclusive prefix sum over the 256 invocations of a workgroup.
+// Pieces of every prefix sum.
+
+// Number of values; `job` and `plan` are bindings of the entry file.
+fn scan_length() -> u32 {
+    let items = plan[job.length_at];
+    return select(items, DIGITS * blocks_of(items), job.histogram != 0u);
+}
 
 var<workgroup> scan_values: array<u32, 256>;
 
-// Sum over lower invocations (x) and over all (y). Every invocation must call it.
+// Exclusive prefix sum over the 256 invocations of a workgroup: sum over lower invocations (x) and over all (y). Every invocation must call it.
 fn scan_group(value: u32, local: u32) -> vec2u {
     scan_values[local] = value;
     workgroupBarrier();

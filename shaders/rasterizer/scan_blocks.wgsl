@@ -13,10 +13,7 @@ fn scan_blocks(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = linear_group(group, groups);
-    var length = plan[job.length_at];
-    if job.histogram != 0u {
-        length = DIGITS * blocks_of(length);
-    }
+    let length = scan_length();
     var sum = 0u;
     for (var k = 0u; k < 4u; k++) {
         let at = block * BLOCK + local * 4u + k;

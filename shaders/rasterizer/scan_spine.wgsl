@@ -7,10 +7,7 @@
 
 @compute @workgroup_size(256)
 fn scan_spine(@builtin(local_invocation_index) local: u32) {
-    var length = plan[job.length_at];
-    if job.histogram != 0u {
-        length = DIGITS * blocks_of(length);
-    }
+    let length = scan_length();
     let blocks = blocks_of(length);
     var carry = 0u;
     for (var first = 0u; first < blocks; first += 256u) {

@@ -13,7 +13,7 @@ use std::time::Instant;
 type Step = (&'static str, fn(&Path) -> Result<String>);
 
 const STEPS: [Step; 8] = [
-    ("setup", |_| setup::run().map(|()| String::new())),
+    ("setup", |_| setup::run_for_tests().map(|()| String::new())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
     ("tidy", |root| tidy::run(root).map(|()| String::new())),
@@ -98,7 +98,9 @@ fn check_metrics(metrics: &Value) -> Result<()> {
 fn cargo(root: &Path, args: &[&str]) -> Result<String> {
     let mut command = workspace::cargo(root);
     // Colour codes would hide the summary lines that are counted.
-    captured(command.args(args).env("CARGO_TERM_COLOR", "never"))
+    command.env("CARGO_TERM_COLOR", "never");
+    // Without an adapter the GPU tests would be left out.
+    captured(command.args(args).env("FFGS_REQUIRE_GPU", "1"))
 }
 
 /// Runs a command; both its streams, in the order written, as the value or inside the error.

@@ -31,14 +31,13 @@ impl FromStr for Device {
 }
 
 impl Device {
-    /// Opens the GPU; `None` = compute on the CPU.
+    /// Opens the GPU; `None` = compute on the CPU. A GPU that was asked for and cannot be opened is an error.
     pub fn open(self) -> Result<Option<Gpu>> {
-        let index = match self {
+        let gpu = match self {
             Self::Cpu => None,
-            Self::Auto => ffgs_gpu::hardware_adapter().map(Some),
-            Self::Gpu(index) => Some(index),
+            Self::Auto => ffgs_gpu::hardware_adapter().and_then(open_or_warn),
+            Self::Gpu(index) => Some(Gpu::open(index)?),
         };
-        let gpu = index.map(Gpu::open).transpose()?;
         match &gpu {
             Some(gpu) if gpu.report().software => {
                 tracing::warn!("{} is software: --device cpu is faster", gpu.report().name);
@@ -48,6 +47,10 @@ impl Device {
         }
         Ok(gpu)
     }
+}
+
+fn open_or_warn(index: usize) -> Option<Gpu> {
+    Gpu::open(Some(index)).map_err(|error| tracing::warn!("computing on the CPU: {error}")).ok()
 }
 
 /// Name of what computes, for the record of a run: results are the same on one device only.

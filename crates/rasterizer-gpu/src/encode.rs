@@ -8,6 +8,8 @@ use crate::{kernels, layout::ViewUniform};
 use ffgs_gpu::{Buffer, Commands, Gpu, Groups};
 use ffgs_rasterizer::RenderOptions;
 
+/// Up to this many values one workgroup scans alone: 4 rounds, for which three kernels are not worth their start.
+const SHORT: usize = 4 * BLOCK;
 /// Invocations of the kernels that take one item each.
 const GROUP: usize = 256;
 
@@ -85,6 +87,15 @@ fn each_pair(s: &Scratch) -> Groups<'_> {
     Groups::Indirect(&s.plan, u64::from(plan::EACH) * 4)
 }
 
+/// The histogram of a sort of at most `items` items.
+fn scan_histogram(commands: &mut Commands, s: &Scratch, job: &Buffer, items: usize, groups: Groups) {
+    if DIGITS * items.div_ceil(BLOCK) <= SHORT {
+        commands.run(&kernels::SCAN_SINGLE, &[job, &s.plan, &s.histogram], Groups::Direct(1));
+    } else {
+        scan(commands, s, job, &s.histogram, groups);
+    }
+}
+
 fn scan(commands: &mut Commands, s: &Scratch, job: &Buffer, values: &Buffer, groups: Groups) {
     commands.run(&kernels::SCAN_BLOCKS, &[job, &s.plan, values, &s.sums], groups);
     commands.run(&kernels::SCAN_SPINE, &[job, &s.plan, &s.sums], Groups::Direct(1));
@@ -92,13 +103,13 @@ fn scan(commands: &mut Commands, s: &Scratch, job: &Buffer, values: &Buffer, gro
 }
 
 /// All 32 bits in an even number of passes: the result is where it started.
-fn sort_by_depth(commands: &mut Commands, s: &Scratch, n: usize) {
+pub(crate) fn sort_by_depth(commands: &mut Commands, s: &Scratch, n: usize) {
     let [a, b] = &s.keys;
     let histogram = Groups::of(DIGITS * n.div_ceil(BLOCK), BLOCK);
     for (pass, job) in s.jobs.sort_gaussians.iter().enumerate() {
         let (from, to) = if pass % 2 == 0 { (a, b) } else { (b, a) };
         commands.run(&kernels::SORT_COUNT, &[job, &s.plan, from, &s.histogram], Groups::of(n, BLOCK));
-        scan(commands, s, &s.jobs.histogram_of_gaussians, &s.histogram, histogram);
+        scan_histogram(commands, s, &s.jobs.histogram_of_gaussians, n, histogram);
         commands.run(&kernels::SORT_SCATTER, &[job, &s.plan, &s.histogram, from, to], Groups::of(n, BLOCK));
     }
 }
@@ -112,7 +123,7 @@ fn sort_by_tile<'a>(commands: &mut Commands, s: &'a Scratch, slots: usize) -> &'
         let (from, to) = if pass % 2 == 0 { (a, b) } else { (b, a) };
         commands.run(&kernels::SORT_COUNT, &[job, &s.plan, from, &s.histogram], groups());
         let histogram = Groups::Indirect(&s.plan, u64::from(plan::SCAN) * 4);
-        scan(commands, s, &s.jobs.histogram_of_pairs, &s.histogram, histogram);
+        scan_histogram(commands, s, &s.jobs.histogram_of_pairs, s.capacity.pairs, histogram);
         commands.run(&kernels::SORT_SCATTER, &[job, &s.plan, &s.histogram, from, to], groups());
     }
     &s.pairs[passes % 2]
@@ -178,6 +189,26 @@ pub fn backward(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scratch::Capacity;
+
+    /// Around the edges of a block, and long enough for the scan in three kernels.
+    #[test]
+    fn the_radix_sort_is_the_standard_stable_sort() {
+        let Some(gpu) = Gpu::for_test() else { return };
+        for n in [1, 1023, 1024, 1025, 300_000] {
+            let key = |i: u32| i.wrapping_mul(2_654_435_761) >> (i % 29);
+            let mut pairs: Vec<[u32; 2]> = (0..n).map(|i| [key(i), i]).collect();
+            let scratch =
+                Scratch::new(&gpu, Capacity { gaussians: n as usize, ..Capacity::default() }).unwrap();
+            scratch.restart(&gpu, n as usize);
+            gpu.write(&scratch.keys[0], &pairs);
+            let mut commands = gpu.commands();
+            sort_by_depth(&mut commands, &scratch, n as usize);
+            gpu.submit(commands).unwrap();
+            pairs.sort_by_key(|p| p[0]);
+            assert!(gpu.download::<[u32; 2]>(&scratch.keys[0], n as usize).unwrap() == pairs, "{n} pairs");
+        }
+    }
 
     #[test]
     fn bits_tell_the_slots_apart() {

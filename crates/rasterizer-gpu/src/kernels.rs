@@ -40,6 +40,7 @@ kernel!(RANK_COUNTS, "rank_counts", [VIEW]);
 kernel!(SCAN_BLOCKS, "scan_blocks", [PLAN, SCAN]);
 kernel!(SCAN_SPINE, "scan_spine", [PLAN, SCAN]);
 kernel!(SCAN_APPLY, "scan_apply", [PLAN, SCAN]);
+kernel!(SCAN_SINGLE, "scan_single", [PLAN, SCAN]);
 kernel!(SORT_COUNT, "sort_count", [PLAN]);
 kernel!(SORT_SCATTER, "sort_scatter", [PLAN]);
 kernel!(PLAN_PAIRS, "plan_pairs", [VIEW, PLAN]);
@@ -63,12 +64,13 @@ kernel!(PROJECTION_BACKWARD, "projection_backward", [VIEW, SH, EWA, LEDGER]);
 
 /// Every kernel of this crate.
 #[cfg(test)]
-pub(crate) const ALL: [Kernel; 20] = [
+pub(crate) const ALL: [Kernel; 21] = [
     PROJECT,
     RANK_COUNTS,
     SCAN_BLOCKS,
     SCAN_SPINE,
     SCAN_APPLY,
+    SCAN_SINGLE,
     SORT_COUNT,
     SORT_SCATTER,
     PLAN_PAIRS,
