@@ -37,8 +37,9 @@ impl<'a> Commands<'a> {
             Groups::Indirect(..) => [0; 2],
         };
         let (pipeline, bindings) = gpu.bound(kernel, buffers);
-        let pass =
-            pass.get_or_insert_with(|| encoder.begin_compute_pass(&Default::default()).forget_lifetime());
+        let pass = pass.get_or_insert_with(|| {
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
+        });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
         match groups {

@@ -157,7 +157,7 @@ impl Gpu {
 
     /// Starts recording.
     pub fn commands(&self) -> Commands<'_> {
-        Commands::new(self, self.device.create_command_encoder(&Default::default()))
+        Commands::new(self, self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default()))
     }
 
     /// Hands work to the device. Returns without waiting for it, unless much is in flight.
@@ -186,7 +186,7 @@ impl Gpu {
             usage,
             mapped_at_creation: false,
         });
-        let mut encoder = self.device.create_command_encoder(&Default::default());
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.copy_buffer_to_buffer(&buffer.0, 0, &staging, 0, size);
         self.queue.submit([encoder.finish()]);
         self.check()?;
