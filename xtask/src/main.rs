@@ -123,7 +123,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Monaco { args } => return monaco::run(&root, &args),
         Command::Ffgs(args) => return ffgs::pass_through(&root, &args),
-        Command::Setup => setup::run()?,
+        Command::Setup => setup::run_for_tests()?,
         Command::Tidy => {
             tidy::run(&root)?;
             println!("tidy: no finding");

@@ -4,20 +4,51 @@ use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// A program on the PATH and the Debian package that brings it.
+/// Something that must be there, and the Debian package that brings it.
 struct Requirement {
-    program: &'static str,
+    probe: Probe,
     package: &'static str,
 }
 
-/// Everything beyond the Rust toolchain. Rust needs a C compiler as its linker driver.
-const REQUIREMENTS: [Requirement; 1] = [Requirement { program: "cc", package: "build-essential" }];
+/// How to tell whether it is.
+enum Probe {
+    /// A program on the PATH.
+    Program(&'static str),
+    /// A file with this ending in this folder.
+    FileIn(&'static str, &'static str),
+}
 
-/// Installs what is missing; silent when nothing is.
+/// Everything beyond the Rust toolchain. Rust needs a C compiler as its linker driver.
+const REQUIREMENTS: [Requirement; 1] =
+    [Requirement { probe: Probe::Program("cc"), package: "build-essential" }];
+
+/// The GPU tests run on software Vulkan where there is no GPU. A run does not need it.
+const TEST_REQUIREMENTS: [Requirement; 1] =
+    [Requirement { probe: Probe::FileIn("/usr/share/vulkan/icd.d", "json"), package: "mesa-vulkan-drivers" }];
+
+/// Installs what building and running need and is missing; silent when nothing is.
 pub fn run() -> Result<()> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders: Vec<_> = std::env::split_paths(&path).collect();
-    install(&missing(&REQUIREMENTS, |program| folders.iter().any(|f| f.join(program).is_file())))
+    install(&missing(&REQUIREMENTS, is_present))
+}
+
+/// As [`run`], and what the tests need.
+pub fn run_for_tests() -> Result<()> {
+    let mut packages = missing(&REQUIREMENTS, is_present);
+    if cfg!(target_os = "linux") {
+        packages.extend(missing(&TEST_REQUIREMENTS, is_present));
+    }
+    install(&packages)
+}
+
+fn is_present(probe: &Probe) -> bool {
+    match probe {
+        Probe::Program(program) => {
+            let path = std::env::var_os("PATH").unwrap_or_default();
+            std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+        }
+        Probe::FileIn(folder, ending) => std::fs::read_dir(folder)
+            .is_ok_and(|files| files.flatten().any(|f| f.path().extension().is_some_and(|e| e == *ending))),
+    }
 }
 
 /// Installs Debian packages where that is possible, otherwise says how to.
@@ -41,8 +72,8 @@ pub fn install(packages: &[&str]) -> Result<()> {
     apt_get(prefix, &words)
 }
 
-fn missing(requirements: &[Requirement], present: impl Fn(&str) -> bool) -> Vec<&'static str> {
-    requirements.iter().filter(|r| !present(r.program)).map(|r| r.package).collect()
+fn missing(requirements: &[Requirement], present: impl Fn(&Probe) -> bool) -> Vec<&'static str> {
+    requirements.iter().filter(|r| !present(&r.probe)).map(|r| r.package).collect()
 }
 
 /// Words before `apt-get`: none as root, `sudo --non-interactive` where that works, otherwise `None`.
@@ -76,9 +107,18 @@ mod tests {
 
     #[test]
     fn only_what_is_missing_is_installed() {
-        let requirements =
-            [Requirement { program: "there", package: "a" }, Requirement { program: "absent", package: "b" }];
-        assert_eq!(missing(&requirements, |program| program == "there"), ["b"]);
+        let program = |name, package| Requirement { probe: Probe::Program(name), package };
+        let requirements = [program("there", "a"), program("absent", "b")];
+        let there = |probe: &Probe| matches!(probe, Probe::Program("there"));
+        assert_eq!(missing(&requirements, there), ["b"]);
         assert!(missing(&requirements, |_| true).is_empty());
+    }
+
+    #[test]
+    fn files_are_found_by_their_ending() {
+        let folder = env!("CARGO_MANIFEST_DIR");
+        assert!(is_present(&Probe::FileIn(folder, "toml")));
+        assert!(!is_present(&Probe::FileIn(folder, "json")));
+        assert!(!is_present(&Probe::FileIn("/nowhere", "json")));
     }
 }

@@ -229,7 +229,14 @@ impl<'a> Search<'a> {
             let information = symmetric_inverse(covariance);
             let weight = range.len() as f64;
             let scales = fit.scales;
-            information.is_finite().then_some(Voter { centre, place, covariance, information, weight, scales })
+            information.is_finite().then_some(Voter {
+                centre,
+                place,
+                covariance,
+                information,
+                weight,
+                scales,
+            })
         };
         let largest = cells.leaves.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
         let proposal = |range: &std::ops::Range<usize>| {
@@ -250,7 +257,8 @@ impl<'a> Search<'a> {
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
         let proposals: Vec<RigidMotion> = proposals.into_iter().map(|p| p.1).collect();
         let gain = |voter: &Option<Voter>, motion: &RigidMotion| {
-            let share = |v: &Voter| v.weight * (1.0 - v.distance(motion) / (EXPLAINED * config.leave)).max(0.0);
+            let share =
+                |v: &Voter| v.weight * (1.0 - v.distance(motion) / (EXPLAINED * config.leave)).max(0.0);
             voter.as_ref().map_or(0.0, share)
         };
         let gains = proposals.par_iter().map(|m| voters.iter().map(|v| gain(v, m)).collect()).collect();
@@ -282,7 +290,8 @@ impl<'a> Search<'a> {
     /// The heaviest connected set of free cells that agree with a motion.
     fn explained(&self, motion: &RigidMotion, free: &[bool]) -> Vec<usize> {
         let agrees = |c: usize| {
-            free[c] && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < EXPLAINED * self.config.leave)
+            free[c]
+                && self.voters[c].as_ref().is_some_and(|v| v.distance(motion) < EXPLAINED * self.config.leave)
         };
         let mut open: Vec<bool> = (0..free.len()).map(agrees).collect();
         let components = std::iter::from_fn(|| next_component(&self.adjacent, &mut open));
@@ -339,7 +348,8 @@ impl<'a> Search<'a> {
     /// Typical variance per axis of one Gaussian's combined estimate (m^2).
     fn single_variance(&self, cells: &[usize], scales: &[f64]) -> Option<f64> {
         let trace = |m: DMat3| m.x_axis.x + m.y_axis.y + m.z_axis.z;
-        let variance = |&i: &usize| Some(trace(symmetric_inverse(self.evidence.combined(i, scales)?.1)) / 3.0);
+        let variance =
+            |&i: &usize| Some(trace(symmetric_inverse(self.evidence.combined(i, scales)?.1)) / 3.0);
         median(&mut self.members(cells).iter().filter_map(variance).collect::<Vec<_>>())
     }
 

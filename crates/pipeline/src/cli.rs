@@ -1,8 +1,9 @@
 //! The command line of `ffgs`.
 
+use crate::device::{self, Device};
 use crate::stage::{self, Stage};
 use anyhow::Result;
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgAction, Args, Parser, Subcommand};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -33,6 +34,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Score the motion initialisation against a capture's ground truth
     MotionEval(crate::motion_eval::MotionEvalArgs),
+    /// List the GPUs, their limits and what each would be used as
+    Devices,
     /// Print the default configuration
     Config,
     /// Run one stage on numpy arrays
@@ -48,14 +51,6 @@ pub struct LogArgs {
     /// No progress bars, errors only
     #[arg(short, long, conflicts_with = "verbose")]
     pub quiet: bool,
-}
-
-/// Where to compute.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Device {
-    /// All cores of this machine
-    #[default]
-    Cpu,
 }
 
 /// `ffgs check`.
@@ -92,8 +87,8 @@ pub struct StageArgs {
     /// Where its results go (.npz); replaced if it exists
     #[arg(long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    /// Where to compute; auto = a hardware GPU where there is one, else the CPU
+    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -140,8 +135,8 @@ pub struct RunArgs {
     /// Training cameras to use, by name; the others are ignored
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub train_views: Option<Vec<String>>,
-    /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    /// Where to compute; auto = a hardware GPU where there is one, else the CPU
+    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Settings beyond these options; `ffgs config` prints them all with what they mean. Options win
     #[arg(long, value_name = "FILE.toml")]
@@ -181,8 +176,8 @@ pub struct RenderArgs {
     /// Folder for the pictures [default: RUN/renders]
     #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    /// Where to compute; auto = a hardware GPU where there is one, else the CPU
+    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -198,8 +193,8 @@ pub struct RenderArgs {
 pub struct EvalArgs {
     /// Output folder of the run
     pub run: PathBuf,
-    /// Where to compute
-    #[arg(long, value_enum, default_value_t)]
+    /// Where to compute; auto = a hardware GPU where there is one, else the CPU
+    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -294,10 +289,11 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             start_log(args.log);
             crate::motion_eval::motion_eval(&args)?;
         }
+        Command::Devices => device::list(),
         Command::Config => crate::config_text::print_default()?,
         Command::Stage(args) => {
             start_log(args.log);
-            stage::run(args.name, &args.input, &args.output)?;
+            stage::run(args.name, &args.input, &args.output, args.device)?;
         }
     }
     Ok(ExitCode::SUCCESS)

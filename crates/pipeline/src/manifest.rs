@@ -37,7 +37,7 @@ pub struct Manifest {
 
 impl Manifest {
     /// Describes a request.
-    pub fn new(request: &RunRequest, frames: &Range<usize>) -> Result<Self> {
+    pub fn new(request: &RunRequest, frames: &Range<usize>, device: String) -> Result<Self> {
         let path = std::fs::canonicalize(&request.capture)
             .with_context(|| format!("no capture at {}", request.capture.display()))?;
         Ok(Self {
@@ -51,7 +51,7 @@ impl Manifest {
             },
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
-            device: "cpu".into(),
+            device,
             version: env!("CARGO_PKG_VERSION").into(),
             machine: format!(
                 "{} {}, {} threads",

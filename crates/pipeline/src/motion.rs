@@ -5,9 +5,7 @@ use crate::config::Config;
 use crate::frame::TrainViews;
 use crate::turn::turn;
 use anyhow::Result;
-use ffgs_core::{
-    Camera, DenseMotion, EstimateStatus, Estimates, Gaussians, ImageSize, Mask, Observations, ViewMotion,
-};
+use ffgs_core::{Camera, DenseMotion, EstimateStatus, Estimates, Gaussians, Mask, Observations, ViewMotion};
 use ffgs_fusion::{
     DensifyConfig, FusionInput, InformationFuser, MotionFuser, ProcessNoise, apply_densification,
     count_views, plan_densification, second_chance, spatial_objects, validate,
@@ -360,6 +358,3 @@ fn densify(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut MotionOutco
     outcome.previous.extend(plan.iter().map(|p| outcome.previous[p.0]).collect::<Vec<_>>());
     add_seconds(&mut outcome.seconds.fusion, start);
 }
-
-/// An image size of one pixel, for buffers that grow on first use.
-pub const UNSIZED: ImageSize = ImageSize { width: 1, height: 1 };

@@ -3,7 +3,9 @@
 use crate::cli::{FrameRange, Init};
 use crate::config::Config;
 use crate::console::Console;
+use crate::device::{self, Device};
 use crate::frame::{TrainViews, cameras_and_masks, load_training, load_view};
+use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
 use crate::motion::{Dynamic, MotionInput, MotionOutcome, initialise, pixel_sizes, positions};
 use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
@@ -13,11 +15,11 @@ use anyhow::{Context, Result, bail};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize};
 use ffgs_dataset::{Capture, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
+use ffgs_gpu::Gpu;
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{
-    INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points, train_dynamic,
-    train_first_frame, train_sky,
+    FirstFrame, INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points,
 };
 use std::ops::Range;
 use std::path::PathBuf;
@@ -40,6 +42,8 @@ pub struct RunRequest {
     pub train_views: Option<Vec<String>>,
     /// Take frame 0 from this run instead of training it.
     pub first_frame: Option<PathBuf>,
+    /// Where to compute.
+    pub device: Device,
     /// No progress bars.
     pub quiet: bool,
     /// Everything else.
@@ -82,6 +86,7 @@ struct Job<'a> {
     frames: Range<usize>,
     folder: RunFolder,
     manifest: Manifest,
+    gpu: Option<Gpu>,
 }
 
 impl<'a> Job<'a> {
@@ -103,13 +108,18 @@ impl<'a> Job<'a> {
             bail!("--frames {}..{}: the capture has frames 0..{count}", frames.start, frames.end);
         }
         let folder = RunFolder(request.out.clone());
-        let manifest = Manifest::new(request, &frames)?;
+        let gpu = request.device.open()?;
+        let manifest = Manifest::new(request, &frames, device::name(gpu.as_ref()))?;
         manifest.claim(&folder, request.resume)?;
-        Ok(Self { request, capture, tracks, views, frames, folder, manifest })
+        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpu })
     }
 
     fn config(&self) -> &Config {
         &self.request.config
+    }
+
+    fn lanes(&self) -> Lanes<'_> {
+        Lanes(self.gpu.as_ref())
     }
 
     fn publish(&self, records: &[FrameRecord]) -> Result<crate::record::Metrics> {
@@ -144,7 +154,7 @@ impl<'a> Job<'a> {
         self.finish(frame, layers, record)
     }
 
-    fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<ffgs_trainer::FirstFrame> {
+    fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
         let points = self.capture.initial_points()?;
         let degree = self.config().first_frame.sh_degree;
         let initial = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
@@ -152,9 +162,9 @@ impl<'a> Job<'a> {
         let bar = console.lane("first frame", self.config().first_frame.iterations);
         let extent = camera_extent(views);
         let seed = self.config().seed;
-        Ok(train_first_frame(&self.config().first_frame, views, initial, sky, extent, seed, &mut |p| {
-            bar.show(p);
-        }))
+        let start = FirstFrame { gaussians: initial, sky };
+        let config = &self.config().first_frame;
+        self.lanes().first_frame(config, views, start, extent, seed, &mut |p| bar.show(p))
     }
 
     fn split(
@@ -209,7 +219,7 @@ impl<'a> Job<'a> {
         record.skips.clone_from(&motion.skips);
         record.warnings.clone_from(&motion.warnings);
         self.write_pictures(frame, &layers.dynamic, &motion, &now)?;
-        self.finetune(frame, &mut layers, static_lane, &now, console, &mut record);
+        self.finetune(frame, &mut layers, static_lane, &now, console, &mut record)?;
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         self.finish(frame, layers, record)
     }
@@ -223,40 +233,46 @@ impl<'a> Job<'a> {
         views: &[TrainingView],
         console: &Console,
         record: &mut FrameRecord,
-    ) {
-        let config = self.config();
+    ) -> Result<()> {
+        let (config, lanes) = (self.config(), self.lanes());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
         let (static_start, sky_start) = (layers.static_layer.clone(), layers.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start };
         let Layers { static_layer, dynamic, sky } = layers;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
         let static_bar = console.lane("static", config.background.static_passes());
-        let timed = |work: &mut (dyn FnMut() + Send)| {
+        let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
             let start = Instant::now();
-            work();
-            Some(start.elapsed().as_secs_f64())
+            work().map(|()| start.elapsed().as_secs_f64())
         };
         let (dynamic_s, (static_s, sky_s)) = rayon::join(
             || {
                 timed(&mut || {
                     let layer = &mut dynamic.gaussians;
-                    train_dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p));
+                    lanes.dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p))
                 })
             },
             || {
                 let background = &config.background;
                 let mut train = || {
-                    static_lane.train(background, views, &sky_start, static_layer, seed, &mut |p| {
-                        static_bar.show(p);
-                    });
+                    let report = &mut |p| static_bar.show(p);
+                    lanes.static_layer(
+                        static_lane,
+                        background,
+                        Photographed { views, sky: &sky_start },
+                        static_layer,
+                        seed,
+                        report,
+                    )
                 };
                 let static_s = timed(&mut train);
-                (static_s, timed(&mut || train_sky(background, views, &static_start, sky, seed)))
+                (static_s, timed(&mut || lanes.sky(background, views, &static_start, sky, seed)))
             },
         );
-        record.seconds.dynamic = dynamic_s;
-        record.seconds.static_lane = static_s;
-        record.seconds.sky = sky_s;
+        record.seconds.dynamic = Some(dynamic_s?);
+        record.seconds.static_lane = Some(static_s?);
+        record.seconds.sky = Some(sky_s?);
+        Ok(())
     }
 
     fn write_pictures(
@@ -285,7 +301,7 @@ impl<'a> Job<'a> {
         ffgs_splats::write_ply(&dynamic_ply, &layers.dynamic.gaussians, Some(&layers.dynamic.covariances))?;
         let texels = layers.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), layers.sky.face_size(), texels)?;
-        record.views = score(&self.capture, &layers, frame, &folder)?;
+        record.views = score(&self.capture, &layers, frame, &folder, self.lanes())?;
         record.static_gaussians = layers.static_layer.len();
         record.dynamic_gaussians = layers.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());

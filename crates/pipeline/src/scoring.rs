@@ -1,13 +1,13 @@
 //! Renders the test views of a frame and measures them.
 
-use crate::motion::{Dynamic, UNSIZED};
+use crate::lanes::Lanes;
+use crate::motion::Dynamic;
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, PlanarImage, write_atomically};
 use ffgs_dataset::{Capture, Split};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
-use ffgs_trainer::{SkyCube, SkyView};
+use ffgs_trainer::SkyCube;
 use std::path::Path;
 
 /// The three layers of one frame.
@@ -22,19 +22,14 @@ pub struct Layers {
 }
 
 /// One depth-sorted render of all layers over the sky.
-pub fn render(layers: &Layers, camera: &Camera) -> PlanarImage {
-    let mut joint = layers.static_layer.clone();
-    joint.extend(&layers.dynamic.gaussians);
-    render_joint(&joint, &layers.sky, camera, &mut RenderTape::default())
+pub(crate) fn render(layers: &Layers, camera: &Camera, lanes: Lanes) -> Result<PlanarImage> {
+    lanes.render(&joint(layers), &layers.sky, camera)
 }
 
-fn render_joint(joint: &Gaussians, sky: &SkyCube, camera: &Camera, tape: &mut RenderTape) -> PlanarImage {
-    let mut background = PlanarImage::zeros(UNSIZED);
-    background.reset(camera.size());
-    sky.render(&SkyView::new(camera, sky.face_size()), &mut background);
-    let view = View { camera, background: Background::Image(&background), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(joint, &view, tape);
-    tape.image().clone()
+fn joint(layers: &Layers) -> Gaussians {
+    let mut joint = layers.static_layer.clone();
+    joint.extend(&layers.dynamic.gaussians);
+    joint
 }
 
 /// Writes a PNG through a temporary file.
@@ -62,14 +57,18 @@ fn is_fixed(capture: &Capture, view: usize) -> bool {
 }
 
 /// Renders every test view of `frame` into `folder/test/CAMERA.png` and measures it.
-pub fn score(capture: &Capture, layers: &Layers, frame: usize, folder: &Path) -> Result<Vec<ViewMetrics>> {
-    let mut joint = layers.static_layer.clone();
-    joint.extend(&layers.dynamic.gaussians);
-    let mut tape = RenderTape::default();
+pub(crate) fn score(
+    capture: &Capture,
+    layers: &Layers,
+    frame: usize,
+    folder: &Path,
+    lanes: Lanes,
+) -> Result<Vec<ViewMetrics>> {
+    let joint = joint(layers);
     let mut all = Vec::new();
     for (v, view) in capture.views(Split::Test).iter().enumerate() {
         let truth = crate::frame::load_view(capture, Split::Test, v, frame)?;
-        let rendered = render_joint(&joint, &layers.sky, &truth.camera, &mut tape);
+        let rendered = lanes.render(&joint, &layers.sky, &truth.camera)?;
         write_png(&folder.join(format!("test/{}.png", view.name)), &ImageRgb8::from(&rendered))?;
         all.push(ViewMetrics {
             camera: view.name.clone(),

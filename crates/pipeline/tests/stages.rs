@@ -1,10 +1,15 @@
 //! Every stage alone, as `ffgs stage` runs it: reference cases (fixtures/reference) and inputs that cannot be used.
 
 use ffgs_arrays::{NpzFile, NpzWriter};
-use ffgs_pipeline::stage::{Stage, run};
+use ffgs_pipeline::device::Device;
+use ffgs_pipeline::stage::{Stage, run as run_on};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
+
+fn run(stage: Stage, input: &Path, output: &Path) -> anyhow::Result<()> {
+    run_on(stage, input, output, Device::Cpu)
+}
 
 fn cases(folder: &str) -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/reference").join(folder);

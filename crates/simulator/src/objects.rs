@@ -19,8 +19,7 @@ pub enum Scenario {
 
 impl Scenario {
     /// All of them.
-    pub const ALL: [Self; 5] =
-        [Self::Car, Self::TwoSpeeds, Self::Walker, Self::Bending, Self::MostlyStatic];
+    pub const ALL: [Self; 5] = [Self::Car, Self::TwoSpeeds, Self::Walker, Self::Bending, Self::MostlyStatic];
 }
 
 /// Points on surfaces with their motion.
@@ -61,8 +60,7 @@ impl Part {
 
 pub fn build(scenario: Scenario, gaussians: usize, rng: &mut ChaCha8Rng) -> Cloud {
     let parts = parts(scenario);
-    let mut cloud =
-        Cloud { previous: Vec::new(), truth: Vec::new(), normals: Vec::new(), parts: Vec::new() };
+    let mut cloud = Cloud { previous: Vec::new(), truth: Vec::new(), normals: Vec::new(), parts: Vec::new() };
     for (id, part) in parts.iter().enumerate() {
         for _ in 0..gaussians.div_ceil(parts.len()) {
             let (offset, normal) = on_box(part.half, rng);
@@ -87,8 +85,7 @@ fn parts(scenario: Scenario) -> Vec<Part> {
         ],
         Scenario::Walker => {
             let step = DVec3::new(0.05, 0.0, 0.0);
-            let torso =
-                Part::rigid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(0.12, 0.2, 0.35), 0.0, step);
+            let torso = Part::rigid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(0.12, 0.2, 0.35), 0.0, step);
             let joint = |y: f64, z: f64| DVec3::new(0.0, y, z);
             vec![
                 torso,

@@ -19,7 +19,8 @@ struct Smooth([(DVec3, f64, DVec2); WAVES]);
 impl Smooth {
     fn new(rng: &mut ChaCha8Rng) -> Self {
         let wave = |rng: &mut ChaCha8Rng| {
-            let k = DVec3::new(normal(rng), normal(rng), normal(rng)) * (std::f64::consts::TAU / WAVELENGTH / 3.0);
+            let k = DVec3::new(normal(rng), normal(rng), normal(rng))
+                * (std::f64::consts::TAU / WAVELENGTH / 3.0);
             let amplitude = DVec2::new(normal(rng), normal(rng)) * (2.0 / WAVES as f64).sqrt();
             (k, rng.random_range(0.0..std::f64::consts::TAU), amplitude)
         };

@@ -28,7 +28,8 @@ fn fuse(scene: &Simulation, observations: &[Observations], config: FusionConfig)
 }
 
 fn score(scene: &Simulation, fused: &Fused) -> Summary {
-    let sample = |i: usize| Sample { error: fused.means[i] - scene.truth[i], covariance: fused.covariances[i] };
+    let sample =
+        |i: usize| Sample { error: fused.means[i] - scene.truth[i], covariance: fused.covariances[i] };
     summarise(&(0..scene.truth.len()).map(sample).collect::<Vec<_>>())
 }
 
@@ -97,8 +98,16 @@ fn bad_input_gives_finite_posteriors() {
         o
     };
     let wrong = with(&|_, target, _| *target += DVec2::new(15.0, 0.0));
-    let nan = with(&|entry, target, _| if entry % 3 == 0 { *target = DVec2::NAN });
-    let one_view = with(&|entry, _, weight| if entry / n != 3 { *weight = 0.0 });
+    let nan = with(&|entry, target, _| {
+        if entry % 3 == 0 {
+            *target = DVec2::NAN
+        }
+    });
+    let one_view = with(&|entry, _, weight| {
+        if entry / n != 3 {
+            *weight = 0.0
+        }
+    });
     let nothing = with(&|_, _, weight| *weight = 0.0);
     let cases: [(&str, Vec<Observations>); 7] = [
         ("one tracker", vec![good.clone()]),

@@ -68,6 +68,11 @@ struct Correction {
     second: f32,
 }
 
+/// Factors of the first and second moment after `t` steps, (steps, 2); the last row serves for all later steps.
+pub fn bias_corrections() -> Vec<[f32; 2]> {
+    corrections().iter().map(|c| [c.first, c.second]).collect()
+}
+
 fn corrections() -> Vec<Correction> {
     let factor = |t: usize| Correction {
         first: (1.0 / (1.0 - f64::from(BETA1).powi(t as i32))) as f32,

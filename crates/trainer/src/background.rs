@@ -78,7 +78,8 @@ impl BackgroundConfig {
     }
 }
 
-pub(crate) fn outside(view: &TrainingView, dilation: usize) -> Mask {
+/// Pixels of a view outside the foreground, grown by `dilation` pixels.
+pub fn outside(view: &TrainingView, dilation: usize) -> Mask {
     let grown = view.mask.dilated(dilation);
     let inverse = grown.data().iter().map(|&v| u8::from(v == 0)).collect();
     Mask::new(grown.size(), inverse).unwrap_or_else(|| Mask::filled(grown.size(), true))

@@ -77,6 +77,11 @@ pub struct IndexMap {
 }
 
 impl IndexMap {
+    /// Every Gaussian stays what it is.
+    pub fn identity(count: usize) -> Self {
+        Self { sources: (0..count).collect(), keeps_moments: vec![true; count] }
+    }
+
     /// Number of Gaussians of the new set.
     pub fn len(&self) -> usize {
         self.sources.len()
@@ -133,6 +138,18 @@ impl DensityControl {
             self.views[i] += 1;
             self.radii[i] = self.radii[i].max(view.radii[i]);
         }
+    }
+
+    /// Adds sums over several views, columns of length N: gradient norms as in [`ViewStatistics`], and in how many views
+    /// each Gaussian was drawn. Projected radii are not known.
+    ///
+    /// # Panics
+    /// When a column has another length than the set.
+    pub fn observe_sums(&mut self, gradient_norms: &[f32], views: &[u32]) {
+        let n = self.views.len();
+        assert_eq!([gradient_norms.len(), views.len()], [n; 2], "columns of the sums");
+        self.gradient_sums.iter_mut().zip(gradient_norms).for_each(|(sum, norm)| *sum += norm);
+        self.views.iter_mut().zip(views).for_each(|(sum, views)| *sum += views);
     }
 
     /// Decides by the statistics so far; `extent` is the radius of the camera positions (m).

@@ -67,7 +67,7 @@ pub struct Surroundings<'a> {
 }
 
 /// Pixels around the mask whose tiles are computed: a splat that leaves the mask must still be seen there.
-const TILE_DILATION: usize = 4;
+pub const TILE_DILATION: usize = 4;
 
 struct CachedView<'a> {
     view: &'a TrainingView,

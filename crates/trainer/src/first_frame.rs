@@ -92,6 +92,16 @@ pub fn train_first_frame(
     FirstFrame { gaussians: training.gaussians, sky: training.sky }
 }
 
+/// Thresholds of the density control in frame 0.
+pub fn density_config(config: &FirstFrameConfig) -> DensityConfig {
+    DensityConfig {
+        grow_gradient: config.grow_gradient,
+        max_gaussians: config.max_gaussians,
+        prune_scale: f32::INFINITY,
+        ..DensityConfig::default()
+    }
+}
+
 struct Training<'a> {
     config: &'a FirstFrameConfig,
     views: &'a [TrainingView],
@@ -121,12 +131,7 @@ impl<'a> Training<'a> {
         seed: u64,
     ) -> Self {
         let size = ImageSize { width: 1, height: 1 };
-        let density = DensityConfig {
-            grow_gradient: config.grow_gradient,
-            max_gaussians: config.max_gaussians,
-            prune_scale: f32::INFINITY,
-            ..DensityConfig::default()
-        };
+        let density = density_config(config);
         Self {
             config,
             views,

@@ -16,13 +16,14 @@ mod sky_lane;
 mod static_lane;
 mod view;
 
-pub use adam::{Adam, AdamVec, LearningRates, Update};
-pub use background::{BackgroundConfig, StaticMethod};
+pub use adam::{Adam, AdamVec, LearningRates, Update, bias_corrections};
+pub use background::{BackgroundConfig, StaticMethod, outside as background_region};
 pub use densify::{DensityConfig, DensityControl, DensityPlan, IndexMap, ViewStatistics, reset_opacities};
-pub use dynamic_lane::{DynamicLaneConfig, Surroundings, robust_extent, train_dynamic};
-pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
+pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
+pub use first_frame::{FirstFrame, FirstFrameConfig, density_config, train_first_frame};
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};
+pub use schedule::{Epochs, decay};
 pub use sky::{SkyCube, SkyObservation, SkyView};
 pub use sky_lane::train_sky;
 pub use static_lane::StaticLane;

@@ -4,20 +4,21 @@ use rand_chacha::ChaCha8Rng;
 
 /// Draws items in epochs: every item once in a seeded random order, then again in another.
 #[derive(Clone, Debug)]
-pub(crate) struct Epochs {
+pub struct Epochs {
     order: Vec<usize>,
     next: usize,
     rng: ChaCha8Rng,
 }
 
 impl Epochs {
-    pub(crate) fn new(items: Vec<usize>, seed: u64) -> Self {
+    /// Draws from `items`, in orders that `seed` fixes.
+    pub fn new(items: Vec<usize>, seed: u64) -> Self {
         let next = items.len();
         Self { order: items, next, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
     /// The next item; `None` when there are none at all.
-    pub(crate) fn draw(&mut self) -> Option<usize> {
+    pub fn draw(&mut self) -> Option<usize> {
         if self.next >= self.order.len() {
             self.order.shuffle(&mut self.rng);
             self.next = 0;
@@ -28,7 +29,7 @@ impl Epochs {
 }
 
 /// Log-linear interpolation from `start` to `end`.
-pub(crate) fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
+pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
     let t = iteration as f32 / iterations.max(1) as f32;
     (start.ln() * (1.0 - t) + end.ln() * t).exp()
 }

@@ -12,7 +12,8 @@ mod triangulate;
 mod validate;
 mod voronoi;
 
-use anyhow::{Context, Result};
+use crate::device::Device;
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use ffgs_arrays::NpzWriter;
 use input::Input;
@@ -48,21 +49,22 @@ pub enum Stage {
 /// Runs one stage on the arrays of `input` and writes its results to `output` (.npz), whole or not at all.
 ///
 /// # Errors
-/// Names the file and the array that cannot be used.
-pub fn run(stage: Stage, input: &Path, output: &Path) -> Result<()> {
+/// Names the file and the array that cannot be used, or the device that cannot run the stage.
+pub fn run(stage: Stage, input: &Path, output: &Path, device: Device) -> Result<()> {
+    if stage != Stage::Rasterize && matches!(device, Device::Gpu(_)) {
+        bail!("--device: stage {stage:?} runs on the CPU only; rasterize runs on a GPU");
+    }
     let arrays = Input::open(input)?;
-    let work = match stage {
-        Stage::Voronoi => voronoi::run,
-        Stage::Agreement => agreement::run,
-        Stage::Associate => associate::run,
-        Stage::Triangulate => triangulate::run,
-        Stage::Fuse => fuse::run,
-        Stage::Validate => validate::run,
-        Stage::Rasterize => rasterize::run,
-        Stage::Ssim => ssim::run,
+    let results: Result<NpzWriter> = match stage {
+        Stage::Voronoi => voronoi::run(&arrays),
+        Stage::Agreement => agreement::run(&arrays),
+        Stage::Associate => associate::run(&arrays),
+        Stage::Triangulate => triangulate::run(&arrays),
+        Stage::Fuse => fuse::run(&arrays),
+        Stage::Validate => validate::run(&arrays),
+        Stage::Rasterize => rasterize::run(&arrays, device),
+        Stage::Ssim => ssim::run(&arrays),
     };
-    let results: NpzWriter =
-        work(&arrays).with_context(|| format!("stage {stage:?} on {}", input.display()))?;
-    results.write(output)?;
+    results.with_context(|| format!("stage {stage:?} on {}", input.display()))?.write(output)?;
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `ffgs stage rasterize`.
 
 use super::input::{ANY, Input, camera, narrow};
+use crate::device::Device;
 use anyhow::{Context, Result, ensure};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{Camera, Gaussians, ImageSize, PlanarImage};
@@ -8,25 +9,46 @@ use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, View,
 };
+use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
 
-pub(super) fn run(input: &Input) -> Result<NpzWriter> {
+pub(super) fn run(input: &Input, device: Device) -> Result<NpzWriter> {
     let gaussians = gaussians(input)?;
     let camera = read_camera(input)?;
     let background = input.finite::<f32>("in_background", &[Some(3)])?.data;
     let background = Background::Colour([background[0], background[1], background[2]]);
     let upstream = Upstream::read(input, camera.size())?;
-    let rasterizer = CpuRasterizer::new(options(input, gaussians.sh_degree())?);
+    let options = options(input, gaussians.sh_degree())?;
     let view = View { camera: &camera, background, tiles: None };
-    let mut tape = RenderTape::default();
-    rasterizer.render(&gaussians, &view, &mut tape);
-    let mut results = NpzWriter::new();
-    add_image(&mut results, &tape, camera.size());
     let mut gradients = Gradients::default();
-    gradients.reset(gaussians.len(), gaussians.sh_degree());
-    rasterizer.backward(&gaussians, &view, &mut tape, &upstream.gradients(), &mut gradients);
+    let rendered = match device.open()? {
+        Some(gpu) => GpuRasterizer::new(&gpu, options)?.render_and_differentiate(
+            &gaussians,
+            &view,
+            &upstream.gradients(),
+            &mut gradients,
+        )?,
+        None => on_cpu(&gaussians, &view, options, &upstream.gradients(), &mut gradients),
+    };
     gradients.fill_untouched();
+    let mut results = NpzWriter::new();
+    add_image(&mut results, &rendered);
     add_gradients(&mut results, &gradients);
     Ok(results)
+}
+
+fn on_cpu(
+    gaussians: &Gaussians,
+    view: &View,
+    options: RenderOptions,
+    upstream: &PixelGradients,
+    gradients: &mut Gradients,
+) -> Rendered {
+    let rasterizer = CpuRasterizer::new(options);
+    let mut tape = RenderTape::default();
+    rasterizer.render(gaussians, view, &mut tape);
+    gradients.reset(gaussians.len(), gaussians.sh_degree());
+    rasterizer.backward(gaussians, view, &mut tape, upstream, gradients);
+    Rendered { image: tape.image().clone(), transmittance: tape.transmittance().to_vec() }
 }
 
 fn gaussians(input: &Input) -> Result<Gaussians> {
@@ -87,9 +109,10 @@ impl Upstream {
     }
 }
 
-fn add_image(results: &mut NpzWriter, tape: &RenderTape, size: ImageSize) {
-    let image: Vec<f32> = (0..size.pixels()).flat_map(|p| tape.image().pixel(p)).collect();
-    let alpha: Vec<f32> = tape.transmittance().iter().map(|t| 1.0 - t).collect();
+fn add_image(results: &mut NpzWriter, rendered: &Rendered) {
+    let size = rendered.image.size();
+    let image: Vec<f32> = (0..size.pixels()).flat_map(|p| rendered.image.pixel(p)).collect();
+    let alpha: Vec<f32> = rendered.transmittance.iter().map(|t| 1.0 - t).collect();
     results.f32("image", &[size.height, size.width, 3], &image);
     results.f32("alpha", &[size.height, size.width], &alpha);
 }

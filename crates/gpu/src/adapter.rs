@@ -1,0 +1,194 @@
+use crate::GpuError;
+use std::fmt;
+
+/// One adapter of this machine, and what it would be used as.
+#[derive(Clone, Debug)]
+pub struct AdapterReport {
+    /// N in `gpu:N`.
+    pub index: usize,
+    /// Name the driver gives.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Vulkan, Metal or DX12.
+    pub backend: String,
+    /// Whether it is a processor that poses as a GPU.
+    pub software: bool,
+    /// Largest buffer a kernel can bind (bytes).
+    pub max_binding: u64,
+    /// Invocations of one workgroup at most.
+    pub max_invocations: u32,
+    /// Memory that a workgroup shares (bytes).
+    pub workgroup_memory: u32,
+    /// Subgroup operations, and the subgroups' sizes.
+    pub subgroups: Option<[u32; 2]>,
+    /// Timestamps of kernels.
+    pub timestamps: bool,
+    /// Why it cannot be used.
+    pub obstacle: Option<String>,
+}
+
+impl AdapterReport {
+    /// Name of the kernel variants that this adapter gets.
+    pub fn path(&self) -> &'static str {
+        match (&self.obstacle, self.subgroups) {
+            (Some(_), _) => "cannot be used",
+            (None, Some(_)) => "subgroup reductions",
+            (None, None) => "shared-memory reductions",
+        }
+    }
+}
+
+impl fmt::Display for AdapterReport {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let kind = if self.software { "software, never chosen by auto" } else { "hardware" };
+        writeln!(f, "gpu:{}  {} ({kind})", self.index, self.name)?;
+        writeln!(f, "       {} {}", self.backend, self.driver)?;
+        write!(f, "       binding {} MiB, ", self.max_binding >> 20)?;
+        write!(f, "workgroup {} invocations, {} KiB", self.max_invocations, self.workgroup_memory >> 10)?;
+        match self.subgroups {
+            Some([low, high]) => writeln!(f, ", subgroups of {low} to {high}")?,
+            None => writeln!(f, ", no subgroups")?,
+        }
+        write!(f, "       path: {}", self.path())?;
+        self.obstacle.as_ref().map_or(Ok(()), |o| write!(f, ", {o}"))
+    }
+}
+
+pub(crate) fn instance() -> wgpu::Instance {
+    let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    // Indirect dispatches are bounded by the kernels that write them: no second check on the device.
+    let flags = wgpu::InstanceFlags::empty();
+    let plain = wgpu::InstanceDescriptor::new_without_display_handle();
+    wgpu::Instance::new(wgpu::InstanceDescriptor { backends, flags, ..plain })
+}
+
+pub(crate) fn all(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
+    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+}
+
+/// Every adapter, in the order of `gpu:N`.
+pub fn adapters() -> Vec<AdapterReport> {
+    all(&instance()).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
+}
+
+/// The adapter that `--device auto` takes; `None` where only the CPU or software Vulkan is at hand.
+pub fn hardware_adapter() -> Option<usize> {
+    best(&adapters()).filter(|report| !report.software).map(|report| report.index)
+}
+
+/// The most capable usable adapter: hardware before software, discrete ones come first from the drivers.
+pub(crate) fn best(reports: &[AdapterReport]) -> Option<&AdapterReport> {
+    reports.iter().filter(|r| r.obstacle.is_none()).min_by_key(|r| (r.software, r.index))
+}
+
+pub(crate) fn report(index: usize, adapter: &wgpu::Adapter) -> AdapterReport {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let subgroups = features
+        .contains(wgpu::Features::SUBGROUP)
+        .then_some([info.subgroup_min_size, info.subgroup_max_size]);
+    AdapterReport {
+        index,
+        name: info.name.clone(),
+        driver: format!("{} {}", info.driver, info.driver_info),
+        backend: info.backend.to_string(),
+        software: info.device_type == wgpu::DeviceType::Cpu,
+        max_binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        max_invocations: limits.max_compute_invocations_per_workgroup,
+        workgroup_memory: limits.max_compute_workgroup_storage_size,
+        subgroups,
+        timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+        obstacle: obstacle(&limits),
+    }
+}
+
+/// The least that the kernels are written for: WebGPU's guaranteed limits.
+fn obstacle(limits: &wgpu::Limits) -> Option<String> {
+    let need = wgpu::Limits::default();
+    let checks = [
+        (
+            "storage buffers",
+            limits.max_storage_buffers_per_shader_stage,
+            need.max_storage_buffers_per_shader_stage,
+        ),
+        (
+            "invocations",
+            limits.max_compute_invocations_per_workgroup,
+            need.max_compute_invocations_per_workgroup,
+        ),
+        (
+            "workgroup bytes",
+            limits.max_compute_workgroup_storage_size,
+            need.max_compute_workgroup_storage_size,
+        ),
+        ("groups", limits.max_compute_workgroups_per_dimension, need.max_compute_workgroups_per_dimension),
+    ];
+    checks
+        .iter()
+        .find(|(_, has, needs)| has < needs)
+        .map(|(what, has, needs)| format!("{has} {what}, {needs} are needed"))
+}
+
+/// The limits to ask for: the guaranteed ones, with buffers as large as the adapter has.
+pub(crate) fn requested_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
+    let has = adapter.limits();
+    wgpu::Limits {
+        max_buffer_size: has.max_buffer_size,
+        max_storage_buffer_binding_size: has.max_storage_buffer_binding_size,
+        ..wgpu::Limits::default()
+    }
+}
+
+/// Adapter number `index`, or the best.
+pub(crate) fn choose(
+    adapters: Vec<wgpu::Adapter>,
+    index: Option<usize>,
+) -> Result<(wgpu::Adapter, AdapterReport), GpuError> {
+    let reports: Vec<_> = adapters.iter().enumerate().map(|(i, a)| report(i, a)).collect();
+    let count = reports.len();
+    let chosen = match index {
+        Some(index) => reports.get(index).ok_or(GpuError::NoSuchAdapter { index, count })?,
+        None => best(&reports).ok_or(GpuError::NoAdapter)?,
+    };
+    if let Some(reason) = &chosen.obstacle {
+        return Err(GpuError::Unsupported { adapter: chosen.name.clone(), reason: reason.clone() });
+    }
+    let adapter = adapters.into_iter().nth(chosen.index).ok_or(GpuError::NoAdapter)?;
+    Ok((adapter, chosen.clone()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter(index: usize, software: bool, obstacle: Option<&str>) -> AdapterReport {
+        AdapterReport {
+            index,
+            name: "A".into(),
+            driver: "D".into(),
+            backend: "Vulkan".into(),
+            software,
+            max_binding: 128 << 20,
+            max_invocations: 256,
+            workgroup_memory: 16 << 10,
+            subgroups: None,
+            timestamps: false,
+            obstacle: obstacle.map(str::to_owned),
+        }
+    }
+
+    #[test]
+    fn hardware_comes_before_software_and_what_cannot_run_never() {
+        let reports = [adapter(0, true, None), adapter(1, false, Some("old")), adapter(2, false, None)];
+        assert_eq!(best(&reports).map(|r| r.index), Some(2));
+        assert_eq!(best(&reports[..2]).map(|r| r.index), Some(0));
+        assert!(best(&reports[1..2]).is_none());
+    }
+
+    #[test]
+    fn too_small_limits_are_named() {
+        let small = wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..wgpu::Limits::default() };
+        assert_eq!(obstacle(&small).as_deref(), Some("4 storage buffers, 8 are needed"));
+        assert_eq!(obstacle(&wgpu::Limits::default()), None);
+    }
+}

@@ -1,0 +1,96 @@
+use crate::{Buffer, Gpu, Kernel};
+
+/// Workgroups of a dispatch.
+#[derive(Clone, Copy, Debug)]
+pub enum Groups<'a> {
+    /// As many, dealt over two dimensions; a kernel counts them with `linear_group`.
+    Direct(u32),
+    /// As the buffer says: three u32 at this byte offset, written by an earlier kernel.
+    Indirect(&'a Buffer, u64),
+}
+
+impl Groups<'_> {
+    /// Enough groups of `size` invocations for `items`.
+    pub fn of(items: usize, size: usize) -> Self {
+        Self::Direct(items.div_ceil(size) as u32)
+    }
+}
+
+/// Work for one submission, in order. A kernel sees everything that earlier ones wrote.
+pub struct Commands<'a> {
+    gpu: &'a Gpu,
+    encoder: wgpu::CommandEncoder,
+    pass: Option<wgpu::ComputePass<'static>>,
+}
+
+impl<'a> Commands<'a> {
+    pub(crate) fn new(gpu: &'a Gpu, encoder: wgpu::CommandEncoder) -> Self {
+        Self { gpu, encoder, pass: None }
+    }
+
+    /// Runs `kernel` on `buffers`, in the order of its bindings. Nothing happens for zero groups.
+    pub fn run(&mut self, kernel: &Kernel, buffers: &[&Buffer], groups: Groups) {
+        let Self { gpu, encoder, pass } = self;
+        let [x, y] = match groups {
+            Groups::Direct(0) => return,
+            Groups::Direct(count) => grid(count),
+            Groups::Indirect(..) => [0; 2],
+        };
+        let (pipeline, bindings) = gpu.bound(kernel, buffers);
+        let pass = pass.get_or_insert_with(|| {
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
+        });
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &bindings, &[]);
+        match groups {
+            Groups::Direct(_) => pass.dispatch_workgroups(x, y, 1),
+            Groups::Indirect(buffer, offset) => pass.dispatch_workgroups_indirect(&buffer.0, offset),
+        }
+    }
+
+    /// The variant for this device.
+    pub fn pick<'k>(&self, plain: &'k Kernel, subgroups: &'k Kernel) -> &'k Kernel {
+        if self.gpu.has_subgroups() { subgroups } else { plain }
+    }
+
+    /// Fills a buffer with zeros.
+    pub fn clear(&mut self, buffer: &Buffer) {
+        self.pass = None;
+        self.encoder.clear_buffer(&buffer.0, 0, None);
+    }
+
+    /// Copies the first `bytes` (a multiple of 4) of one buffer over another's.
+    pub fn copy(&mut self, from: &Buffer, to: &Buffer, bytes: u64) {
+        self.pass = None;
+        self.encoder.copy_buffer_to_buffer(&from.0, 0, &to.0, 0, bytes);
+    }
+
+    pub(crate) fn finish(self) -> wgpu::CommandBuffer {
+        drop(self.pass);
+        self.encoder.finish()
+    }
+}
+
+/// Largest number of groups in one dimension that WebGPU guarantees.
+const MAX_GROUPS: u32 = 65_535;
+
+/// `count` groups over two dimensions; the last row may be padded, kernels check.
+fn grid(count: u32) -> [u32; 2] {
+    let rows = count.div_ceil(MAX_GROUPS).max(1);
+    [count.div_ceil(rows), rows]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_count_fits_in_two_dimensions() {
+        for count in [1, 65_535, 65_536, 1_000_000, u32::MAX / 2] {
+            let [x, y] = grid(count);
+            assert!(x <= MAX_GROUPS && y <= MAX_GROUPS, "{count}: {x} x {y}");
+            assert!(u64::from(x) * u64::from(y) >= u64::from(count));
+            assert!(u64::from(x) * u64::from(y - 1) < u64::from(count));
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Training and rendering on the device of a run: each function has a CPU and a GPU twin.
+
+use anyhow::Result;
+use ffgs_core::{Camera, Gaussians, PlanarImage};
+use ffgs_gpu::Gpu;
+use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer_gpu::GpuRasterizer;
+use ffgs_trainer::{
+    BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Progress, SkyCube, SkyView,
+    StaticLane, StaticMethod, Surroundings, TrainingView,
+};
+
+/// Where lanes run; `None` = the CPU.
+#[derive(Clone, Copy)]
+pub(crate) struct Lanes<'a>(pub Option<&'a Gpu>);
+
+/// What the static lane compares with.
+#[derive(Clone, Copy)]
+pub(crate) struct Photographed<'a> {
+    /// Photographs and masks.
+    pub views: &'a [TrainingView],
+    /// What shows behind the layer.
+    pub sky: &'a SkyCube,
+}
+
+/// What is told after a step.
+type Report<'a> = &'a mut dyn FnMut(Progress);
+
+impl Lanes<'_> {
+    /// Frame 0.
+    pub fn first_frame(
+        self,
+        config: &FirstFrameConfig,
+        views: &[TrainingView],
+        start: FirstFrame,
+        extent: f32,
+        seed: u64,
+        report: Report,
+    ) -> Result<FirstFrame> {
+        let FirstFrame { gaussians, sky } = start;
+        Ok(match self.0 {
+            None => ffgs_trainer::train_first_frame(config, views, gaussians, sky, extent, seed, report),
+            Some(gpu) => ffgs_trainer_gpu::train_first_frame(
+                gpu,
+                config,
+                views,
+                FirstFrame { gaussians, sky },
+                extent,
+                seed,
+                report,
+            )?,
+        })
+    }
+
+    /// The moving Gaussians.
+    pub fn dynamic(
+        self,
+        config: &DynamicLaneConfig,
+        views: &[TrainingView],
+        around: Surroundings,
+        layer: &mut Gaussians,
+        seed: u64,
+        report: Report,
+    ) -> Result<()> {
+        match self.0 {
+            None => ffgs_trainer::train_dynamic(config, views, around, layer, seed, report),
+            Some(gpu) => {
+                ffgs_trainer_gpu::train_dynamic(gpu, config, views, around, layer, seed, report)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The static layer's colours. The linear solve has no GPU twin: it runs on the CPU beside the other lanes.
+    pub fn static_layer(
+        self,
+        lane: &mut StaticLane,
+        config: &BackgroundConfig,
+        Photographed { views, sky }: Photographed,
+        layer: &mut Gaussians,
+        seed: u64,
+        report: Report,
+    ) -> Result<()> {
+        match self.0 {
+            Some(gpu) if config.static_method == StaticMethod::Steps => {
+                ffgs_trainer_gpu::train_static(gpu, config, views, sky, layer, seed, report)?;
+            }
+            _ => lane.train(config, views, sky, layer, seed, report),
+        }
+        Ok(())
+    }
+
+    /// The sky.
+    pub fn sky(
+        self,
+        config: &BackgroundConfig,
+        views: &[TrainingView],
+        layer: &Gaussians,
+        sky: &mut SkyCube,
+        seed: u64,
+    ) -> Result<()> {
+        match self.0 {
+            None => ffgs_trainer::train_sky(config, views, layer, sky, seed),
+            Some(gpu) => ffgs_trainer_gpu::train_sky(gpu, config, views, layer, sky, seed)?,
+        }
+        Ok(())
+    }
+
+    /// One depth-sorted render of Gaussians over the sky.
+    pub fn render(self, gaussians: &Gaussians, sky: &SkyCube, camera: &Camera) -> Result<PlanarImage> {
+        let mut background = PlanarImage::zeros(camera.size());
+        sky.render(&SkyView::new(camera, sky.face_size()), &mut background);
+        let view = View { camera, background: Background::Image(&background), tiles: None };
+        let options = RenderOptions { antialiased: true, sh_degree: None };
+        if let Some(gpu) = self.0 {
+            return Ok(GpuRasterizer::new(gpu, options)?.render(gaussians, &view)?.image);
+        }
+        let mut tape = RenderTape::default();
+        CpuRasterizer::new(options).render(gaussians, &view, &mut tape);
+        Ok(tape.image().clone())
+    }
+}

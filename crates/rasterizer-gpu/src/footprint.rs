@@ -1,0 +1,111 @@
+use crate::kernels;
+use crate::layout::ENTRY;
+use crate::rasterize::GpuRasterizer;
+use crate::scene::GpuScene;
+use crate::view::GpuView;
+use ffgs_core::Gaussians;
+use ffgs_gpu::{GpuError, Groups};
+use ffgs_rasterizer::{TopContributors, View};
+
+/// Channels that one pass over the pixels sums.
+const CHANNELS: usize = ENTRY - 1;
+/// Contributors a pixel that are kept at most.
+const MOST_CONTRIBUTORS: usize = 16;
+
+/// Sums per Gaussian of `alpha T` times per-pixel channels; see [`ffgs_rasterizer::FootprintSums`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Footprints {
+    channels: usize,
+    sums: Vec<f32>,
+    hits: Vec<u32>,
+}
+
+impl Footprints {
+    /// (channels) sums of Gaussian `i`.
+    pub fn of(&self, i: usize) -> &[f32] {
+        &self.sums[i * self.channels..(i + 1) * self.channels]
+    }
+
+    /// Pixels where Gaussian `i` contributes and the first channel is not zero.
+    pub fn hits(&self, i: usize) -> u32 {
+        self.hits[i]
+    }
+}
+
+impl GpuRasterizer<'_> {
+    /// Renders `gaussians` and sums `alpha T * channel` per Gaussian over the pixels, for each row-major channel; at
+    /// least one channel of the view's size.
+    pub fn accumulate(
+        &mut self,
+        gaussians: &Gaussians,
+        view: &View,
+        channels: &[&[f32]],
+    ) -> Result<Footprints, GpuError> {
+        let gpu = self.gpu;
+        let scene = GpuScene::upload(gpu, gaussians)?;
+        let on_device = GpuView::new(gpu, view.camera, view.background, view.tiles)?;
+        self.render_uploaded(&scene, &on_device)?;
+        let planes = gpu.upload("channels", &channels.concat())?;
+        let totals = gpu.buffer("footprints", (scene.count * ENTRY * 4) as u64)?;
+        let n = gaussians.len();
+        let mut out =
+            Footprints { channels: channels.len(), sums: vec![0.0; n * channels.len()], hits: vec![0; n] };
+        for first in (0..channels.len()).step_by(CHANNELS) {
+            let count = CHANNELS.min(channels.len() - first);
+            let span = gpu.uniform("channels", &[first as u32, count as u32, 0, 0])?;
+            let s = &self.scratch;
+            let sum = [
+                &on_device.uniform,
+                &span,
+                &s.splats,
+                &s.list,
+                &on_device.slots,
+                &s.last,
+                &planes,
+                &s.entries,
+            ];
+            let mut commands = gpu.commands();
+            let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
+            commands.run(kernel, &sum, Groups::of(on_device.slots(), 1));
+            let total = [&on_device.uniform, &s.extents, &s.entries, &totals];
+            commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::of(n, 256));
+            gpu.submit(commands)?;
+            let rows: Vec<[f32; ENTRY]> = gpu.download(&totals, n)?;
+            for (i, row) in rows.iter().enumerate() {
+                let at = i * channels.len() + first;
+                out.sums[at..at + count].copy_from_slice(&row[..count]);
+                out.hits[i] = row[CHANNELS] as u32;
+            }
+        }
+        Ok(out)
+    }
+
+    /// Renders `gaussians` and lists the `count` (at most 16) largest contributions of each pixel.
+    pub fn top_contributors(
+        &mut self,
+        gaussians: &Gaussians,
+        view: &View,
+        count: usize,
+    ) -> Result<TopContributors, GpuError> {
+        let gpu = self.gpu;
+        let count = count.clamp(1, MOST_CONTRIBUTORS);
+        let scene = GpuScene::upload(gpu, gaussians)?;
+        let on_device = GpuView::new(gpu, view.camera, view.background, view.tiles)?;
+        self.render_uploaded(&scene, &on_device)?;
+        let entries = on_device.size().pixels() * count;
+        let empty = vec![[-1_i32, 0]; entries];
+        let top = gpu.upload("top contributors", &empty)?;
+        let kept = gpu.uniform("kept", &[count as u32, 0, 0, 0])?;
+        let s = &self.scratch;
+        let buffers = [&on_device.uniform, &kept, &s.splats, &s.list, &on_device.slots, &s.last, &top];
+        let mut commands = gpu.commands();
+        commands.run(&kernels::TOP_CONTRIBUTORS, &buffers, Groups::of(4 * on_device.slots(), 1));
+        gpu.submit(commands)?;
+        let rows: Vec<[u32; 2]> = gpu.download(&top, entries)?;
+        Ok(TopContributors {
+            count,
+            indices: rows.iter().map(|row| row[0] as i32).collect(),
+            weights: rows.iter().map(|row| f32::from_bits(row[1])).collect(),
+        })
+    }
+}

@@ -1,0 +1,70 @@
+use crate::layout::{Geometry, Ledger};
+use ffgs_core::Gaussians;
+use ffgs_gpu::{Buffer, Gpu, GpuError};
+
+/// Gaussians on the device.
+#[derive(Clone, Debug)]
+pub struct GpuScene {
+    /// (N) rows of [`Geometry`].
+    pub geometry: Buffer,
+    /// (N, coefficients, RGB) f32.
+    pub sh: Buffer,
+    /// N.
+    pub count: usize,
+    /// SH degree of the colours.
+    pub sh_degree: usize,
+}
+
+impl GpuScene {
+    /// Copies Gaussians to the device.
+    pub fn upload(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, GpuError> {
+        let rows: Vec<Geometry> = (0..gaussians.len()).map(|i| Geometry::of(gaussians, i)).collect();
+        Ok(Self {
+            geometry: gpu.upload("Gaussians", &rows)?,
+            sh: gpu.upload("spherical harmonics", &gaussians.sh)?,
+            count: gaussians.len(),
+            sh_degree: gaussians.sh_degree(),
+        })
+    }
+
+    /// Zeros of the same shape: gradients, moments.
+    pub fn zeros_like(&self, gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self {
+            geometry: gpu.buffer("Gaussians", self.geometry.bytes())?,
+            sh: gpu.buffer("spherical harmonics", self.sh.bytes())?,
+            ..self.clone()
+        })
+    }
+
+    /// Copies the Gaussians back. Waits for the device.
+    pub fn download(&self, gpu: &Gpu) -> Result<Gaussians, GpuError> {
+        let mut out = Gaussians::zeros(self.count, self.sh_degree);
+        let rows: Vec<Geometry> = gpu.download(&self.geometry, self.count)?;
+        rows.iter().enumerate().for_each(|(i, row)| row.store(&mut out, i));
+        out.sh = gpu.download(&self.sh, self.count * out.sh_stride())?;
+        Ok(out)
+    }
+}
+
+/// Derivatives of a scene's parameters on the device.
+#[derive(Clone, Debug)]
+pub struct GpuGradients {
+    /// By the parameters. Rows whose stamp in `ledger` is not the current step's are stale.
+    pub scene: GpuScene,
+    /// (N) rows of [`Ledger`].
+    pub ledger: Buffer,
+    /// (N, 12) by the pose, or a placeholder.
+    pub(crate) pose: Buffer,
+}
+
+impl GpuGradients {
+    /// Zeros for `scene`.
+    pub fn new(gpu: &Gpu, scene: &GpuScene, with_pose: bool) -> Result<Self, GpuError> {
+        let rows = if with_pose { scene.count as u64 } else { 1 };
+        Ok(Self {
+            scene: scene.zeros_like(gpu)?,
+            ledger: gpu.buffer("optimiser steps", (scene.count * size_of::<Ledger>()) as u64)?,
+            pose: gpu.buffer("pose gradients", rows * 48)?,
+        })
+    }
+}

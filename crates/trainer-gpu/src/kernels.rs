@@ -1,0 +1,53 @@
+//! The compute shaders of `shaders/trainer`, each with the shared pieces it needs.
+
+use ffgs_gpu::Kernel;
+
+/// Text of a shader file, taken at build time: a missing file does not build, and an old one cannot be shipped.
+macro_rules! wgsl {
+    ($path:expr) => {
+        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shaders/", $path, ".wgsl"))
+    };
+}
+
+macro_rules! kernel {
+    ($name:ident, $file:literal, [$($piece:expr),*]) => {
+        pub(crate) const $name: Kernel = Kernel {
+            name: $file,
+            source: &[$($piece,)* GROUPS, wgsl!(concat!("trainer/", $file))],
+            subgroups: false,
+        };
+    };
+}
+
+const GROUPS: &str = wgsl!("common/groups");
+const VIEW: &str = wgsl!("common/view");
+const LOSS_STRUCT: &str = wgsl!("common/loss_struct");
+const LOSS: &str = wgsl!("common/loss");
+const ADAM_STEP: &str = wgsl!("common/adam");
+const LEDGER: &str = wgsl!("common/ledger");
+const SKY_STRUCT: &str = wgsl!("common/sky_struct");
+const SKY: &str = wgsl!("common/sky");
+
+kernel!(LOSS_STATISTICS, "loss_statistics", [LOSS_STRUCT, LOSS]);
+kernel!(LOSS_GRADIENT, "loss_gradient", [LOSS_STRUCT, LOSS]);
+kernel!(LOSS_VALUE, "loss_value", [LOSS_STRUCT]);
+kernel!(SQUARED_ERROR, "squared_error", [LOSS_STRUCT, LOSS]);
+kernel!(ADAM, "adam", [ADAM_STEP, LEDGER]);
+kernel!(ALPHA_PENALTY, "alpha_penalty", [VIEW]);
+kernel!(SKY_LAYERS, "sky_layers", [VIEW, SKY_STRUCT, SKY]);
+kernel!(SKY_GRADIENT, "sky_gradient", [VIEW, SKY_STRUCT, SKY]);
+kernel!(SKY_ADAM, "sky_adam", [SKY_STRUCT, ADAM_STEP]);
+
+/// Every kernel of this crate.
+#[cfg(test)]
+pub(crate) const ALL: [Kernel; 9] = [
+    LOSS_STATISTICS,
+    LOSS_GRADIENT,
+    LOSS_VALUE,
+    SQUARED_ERROR,
+    ADAM,
+    ALPHA_PENALTY,
+    SKY_LAYERS,
+    SKY_GRADIENT,
+    SKY_ADAM,
+];

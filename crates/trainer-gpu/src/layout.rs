@@ -1,0 +1,36 @@
+//! Host twins of the shaders' structs; a test compares every offset with naga's.
+
+use bytemuck::{Pod, Zeroable};
+
+/// `Loss` of `shaders/common/loss_struct.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct LossUniform {
+    pub size: [u32; 2],
+    pub tiles: [u32; 2],
+    pub slots: u32,
+    pub l1_factor: f32,
+    pub ssim_factor: f32,
+    pub per_sample: f32,
+}
+
+/// `Adam` of `shaders/trainer/adam.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct AdamUniform {
+    pub items: u32,
+    pub width: u32,
+    pub stamp: u32,
+    pub padding: u32,
+    pub rates: [[f32; 4]; 12],
+}
+
+/// `Sky` of `shaders/common/sky_struct.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct SkyUniform {
+    pub size: u32,
+    pub scale: f32,
+    pub rate: f32,
+    pub padding: u32,
+}

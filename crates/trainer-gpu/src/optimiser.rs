@@ -1,0 +1,147 @@
+use crate::kernels;
+use crate::layout::AdamUniform;
+use bytemuck::Pod;
+use ffgs_core::Gaussians;
+use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_rasterizer_gpu::{Geometry, GpuGradients, GpuScene, Ledger};
+use ffgs_trainer::{IndexMap, LearningRates, bias_corrections};
+
+/// Invocations of the kernel.
+const GROUP: usize = 256;
+/// Values a Gaussian other than its colour.
+const GEOMETRY_WIDTH: usize = size_of::<Geometry>() / 4;
+
+/// Gaussians with their gradients and Adam's moments, all on the device.
+pub(crate) struct Optimiser<'a> {
+    gpu: &'a Gpu,
+    pub scene: GpuScene,
+    pub gradients: GpuGradients,
+    first: GpuScene,
+    second: GpuScene,
+    corrections: Buffer,
+    geometry_step: Buffer,
+    sh_step: Buffer,
+}
+
+impl<'a> Optimiser<'a> {
+    pub fn new(gpu: &'a Gpu, gaussians: &Gaussians) -> Result<Self, GpuError> {
+        let scene = GpuScene::upload(gpu, gaussians)?;
+        Ok(Self {
+            gpu,
+            gradients: GpuGradients::new(gpu, &scene, false)?,
+            first: scene.zeros_like(gpu)?,
+            second: scene.zeros_like(gpu)?,
+            corrections: gpu.upload("bias corrections", &bias_corrections())?,
+            geometry_step: gpu.uniform("Adam", &AdamUniform::default())?,
+            sh_step: gpu.uniform("Adam", &AdamUniform::default())?,
+            scene,
+        })
+    }
+
+    /// Factors of the moments by number of steps.
+    pub fn corrections(&self) -> &Buffer {
+        &self.corrections
+    }
+
+    /// Sets the step that [`Optimiser::step`] records: 448 bytes to the device.
+    pub fn prepare(&self, rates: &LearningRates, stamp: u32) {
+        let items = self.scene.count as u32;
+        let [m, o, q, s] = [rates.means, rates.opacities, rates.quats, rates.scales];
+        let geometry = [m, m, m, o, q, q, q, q, s, s, s, 0.0];
+        let width = self.sh_width();
+        let sh = |column: usize| if column < 3 { rates.sh0 } else { rates.sh_rest };
+        let step = |width: usize, rate: &dyn Fn(usize) -> f32| AdamUniform {
+            items,
+            width: width as u32,
+            stamp,
+            padding: 0,
+            rates: std::array::from_fn(|row| {
+                std::array::from_fn(|k| if row * 4 + k < width { rate(row * 4 + k) } else { 0.0 })
+            }),
+        };
+        self.gpu.write(&self.geometry_step, &[step(GEOMETRY_WIDTH, &|column| geometry[column])]);
+        self.gpu.write(&self.sh_step, &[step(width, &sh)]);
+    }
+
+    fn sh_width(&self) -> usize {
+        3 * ffgs_core::sh_coefficients(self.scene.sh_degree)
+    }
+
+    /// Records one step down the gradients.
+    pub fn step(&self, commands: &mut Commands) {
+        let Self { scene, first, second, gradients, .. } = self;
+        let ledger = [&gradients.ledger, &self.corrections];
+        let columns = |step, gradient, p, m, v| [step, ledger[0], ledger[1], gradient, p, m, v];
+        let (g, n) = (&gradients.scene, scene.count);
+        let geometry =
+            columns(&self.geometry_step, &g.geometry, &scene.geometry, &first.geometry, &second.geometry);
+        commands.run(&kernels::ADAM, &geometry, Groups::of(n * GEOMETRY_WIDTH, GROUP));
+        let sh = columns(&self.sh_step, &g.sh, &scene.sh, &first.sh, &second.sh);
+        commands.run(&kernels::ADAM, &sh, Groups::of(n * self.sh_width(), GROUP));
+    }
+
+    /// The Gaussians. Waits for the device.
+    pub fn download(&self) -> Result<Gaussians, GpuError> {
+        self.scene.download(self.gpu)
+    }
+
+    /// What the steps noted of every Gaussian. Waits for the device.
+    pub fn ledger(&self) -> Result<Vec<Ledger>, GpuError> {
+        self.gpu.download(&self.gradients.ledger, self.scene.count)
+    }
+
+    /// Takes `gaussians`, made from the old ones as `map` says: kept ones keep moments and steps, new ones start anew.
+    /// Statistics of density control start anew for all. `keep_opacity` = false zeroes the opacities' moments.
+    pub fn replace(
+        &mut self,
+        gaussians: &Gaussians,
+        map: &IndexMap,
+        keep_opacity: bool,
+    ) -> Result<(), GpuError> {
+        let ledger = self.ledger()?;
+        let moments = [&self.first, &self.second].map(|m| self.carry(m, map, keep_opacity));
+        let carried = map.sources.iter().zip(&map.keeps_moments);
+        let rows: Vec<Ledger> = carried
+            .map(|(&source, &keeps)| Ledger {
+                steps: if keeps { ledger[source].steps } else { 0 },
+                ..Ledger::default()
+            })
+            .collect();
+        let [first, second] = moments;
+        let scene = GpuScene::upload(self.gpu, gaussians)?;
+        let gradients = GpuGradients::new(self.gpu, &scene, false)?;
+        self.gpu.write(&gradients.ledger, &rows);
+        (self.first, self.second, self.scene, self.gradients) = (first?, second?, scene, gradients);
+        self.gpu.release_unused();
+        Ok(())
+    }
+
+    fn carry(&self, moments: &GpuScene, map: &IndexMap, keep_opacity: bool) -> Result<GpuScene, GpuError> {
+        let gpu = self.gpu;
+        let mut rows: Vec<Geometry> = gpu.download(&moments.geometry, moments.count)?;
+        if !keep_opacity {
+            rows.iter_mut().for_each(|row| row.opacity_logit = 0.0);
+        }
+        let width = self.sh_width();
+        let sh: Vec<f32> = gpu.download(&moments.sh, moments.count * width)?;
+        Ok(GpuScene {
+            geometry: gpu.upload("moments", &carried(&rows, 1, map))?,
+            sh: gpu.upload("moments of spherical harmonics", &carried(&sh, width, map))?,
+            count: map.len(),
+            sh_degree: moments.sh_degree,
+        })
+    }
+}
+
+/// Rows of `width` values of the kept Gaussians, and zeros for new ones.
+fn carried<T: Pod>(values: &[T], width: usize, map: &IndexMap) -> Vec<T> {
+    let mut out = Vec::with_capacity(map.len() * width);
+    for (&source, &keeps) in map.sources.iter().zip(&map.keeps_moments) {
+        if keeps {
+            out.extend_from_slice(&values[source * width..(source + 1) * width]);
+        } else {
+            out.resize(out.len() + width, T::zeroed());
+        }
+    }
+    out
+}

@@ -1,0 +1,28 @@
+//! Checks of the shaders that need no GPU.
+
+use crate::kernels;
+use crate::layout::{AdamUniform, LossUniform, SkyUniform};
+use ffgs_gpu::host_layout;
+use ffgs_gpu::reflection::Reflection;
+
+#[test]
+fn every_shader_is_valid_and_within_the_guaranteed_limits() {
+    for kernel in kernels::ALL {
+        let reflection = Reflection::of(&kernel).unwrap();
+        assert_eq!(reflection.fault(&kernel), None);
+    }
+}
+
+#[test]
+fn host_structs_have_the_layout_of_the_shaders() {
+    let twins = [
+        ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
+        ("Adam", host_layout!(AdamUniform, items, width, stamp, padding, rates)),
+        ("Sky", host_layout!(SkyUniform, size, scale, rate, padding)),
+    ];
+    for (name, host) in twins {
+        let layouts = kernels::ALL.iter().filter_map(|k| Reflection::of(k).unwrap().layout(name));
+        let found: Vec<_> = layouts.collect();
+        assert!(!found.is_empty() && found.iter().all(|shader| *shader == host), "{name}: {found:?}");
+    }
+}

@@ -1,0 +1,68 @@
+use crate::kernels;
+use crate::layout::SkyUniform;
+use crate::target::Target;
+use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_rasterizer_gpu::Scratch;
+use ffgs_trainer::SkyCube;
+
+/// One unit of a pixel's derivative in the whole numbers that are summed: a sum holds 2^13 pixels.
+const UNIT: f32 = 262_144.0;
+
+/// The sky with its gradient and Adam's moments, on the device.
+pub(crate) struct GpuSky {
+    face_size: usize,
+    uniform: Buffer,
+    texels: Buffer,
+    gradient: Buffer,
+    steps: Buffer,
+    moments: Buffer,
+}
+
+impl GpuSky {
+    pub fn new(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
+        let texels = sky.texels.len() as u64;
+        Ok(Self {
+            face_size: sky.face_size(),
+            uniform: gpu.uniform("sky", &SkyUniform::default())?,
+            texels: gpu.upload("sky", &sky.texels)?,
+            gradient: gpu.buffer("sky gradient", texels * 12)?,
+            steps: gpu.buffer("sky steps", texels * 4)?,
+            moments: gpu.buffer("sky moments", texels * 24)?,
+        })
+    }
+
+    /// Sets the step size, and the size of a typical derivative of one pixel.
+    pub fn prepare(&self, gpu: &Gpu, rate: f32, typical: f32) {
+        let size = self.face_size as u32;
+        gpu.write(&self.uniform, &[SkyUniform { size, scale: UNIT / typical, rate, padding: 0 }]);
+    }
+
+    /// Puts the sky into the layers of a target's view.
+    pub fn draw(&self, commands: &mut Commands, target: &Target) {
+        let view = &target.view;
+        let buffers = [view.uniform(), &self.uniform, view.slot_list(), &self.texels, &view.layers];
+        commands.run(&kernels::SKY_LAYERS, &buffers, Groups::of(view.slots(), 1));
+    }
+
+    /// One step down the derivative that reaches the sky through what was rendered last.
+    pub fn step(&self, commands: &mut Commands, target: &Target, scratch: &Scratch, corrections: &Buffer) {
+        let view = &target.view;
+        let gather = [
+            view.uniform(),
+            &self.uniform,
+            view.slot_list(),
+            &scratch.pixels,
+            &scratch.upstream,
+            &self.gradient,
+        ];
+        commands.run(&kernels::SKY_GRADIENT, &gather, Groups::of(view.slots(), 1));
+        let buffers = [&self.uniform, corrections, &self.gradient, &self.texels, &self.steps, &self.moments];
+        commands.run(&kernels::SKY_ADAM, &buffers, Groups::of(6 * self.face_size * self.face_size, 256));
+    }
+
+    /// The texels. Waits for the device.
+    pub fn download(&self, gpu: &Gpu, sky: &mut SkyCube) -> Result<(), GpuError> {
+        sky.texels = gpu.download(&self.texels, sky.texels.len())?;
+        Ok(())
+    }
+}

@@ -1,0 +1,279 @@
+//! The GPU's training against its CPU twin, on a small scene.
+
+use crate::optimiser::Optimiser;
+use crate::sky::GpuSky;
+use crate::target::{Selection, Target};
+use crate::workspace::Workspace;
+use crate::{train_dynamic, train_first_frame, train_sky, train_static};
+use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
+use ffgs_gpu::Gpu;
+use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer_gpu::Ledger;
+use ffgs_trainer::{
+    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LearningRates, LossRegion,
+    PhotometricLoss, SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
+};
+use glam::{DMat4, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const SIZE: ImageSize = ImageSize { width: 45, height: 35 };
+const SKY: [f32; 3] = [0.5, 0.6, 0.8];
+
+fn camera(angle: f64) -> Camera {
+    let intrinsics = Intrinsics { fx: 40.0, fy: 42.0, cx: 22.3, cy: 17.8 };
+    let pose = DMat4::from_translation(DVec3::new(0.0, 0.0, 4.0)) * DMat4::from_rotation_y(angle);
+    Camera::new(intrinsics, pose, SIZE).unwrap()
+}
+
+fn cameras() -> [Camera; 4] {
+    [-0.4, -0.1, 0.2, 0.5].map(camera)
+}
+
+/// A blob of Gaussians around `center`.
+fn blob(n: usize, center: [f32; 3], radius: f32, seed: u64) -> Gaussians {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = Gaussians::zeros(n, 1);
+    for i in 0..n {
+        out.means[i] = center.map(|c| c + rng.random_range(-radius..radius));
+        out.quats[i] = [0; 4].map(|_| rng.random_range(-1.0..1.0));
+        out.log_scales[i] = [0; 3].map(|_| rng.random_range(-3.0..-1.3));
+        out.opacity_logits[i] = rng.random_range(-1.0..3.0);
+    }
+    out.sh.as_flattened_mut().iter_mut().for_each(|v| *v = rng.random_range(-0.7..0.7));
+    out
+}
+
+/// As an optimiser finds it: moved and recoloured.
+fn perturbed(g: &Gaussians, seed: u64) -> Gaussians {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = g.clone();
+    out.means.as_flattened_mut().iter_mut().for_each(|v| *v += rng.random_range(-0.03..0.03));
+    out.sh.as_flattened_mut().iter_mut().for_each(|v| *v += rng.random_range(-0.2..0.2));
+    out
+}
+
+fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
+    let mut behind = PlanarImage::zeros(SIZE);
+    sky.render(&SkyView::new(camera, sky.face_size()), &mut behind);
+    let view = View { camera, background: Background::Image(&behind), tiles: None };
+    let mut tape = RenderTape::default();
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(g, &view, &mut tape);
+    tape.image().clone()
+}
+
+/// Photographs of `truth`, with the pixels that `moving` covers as masks.
+fn photographs(truth: &Gaussians, moving: &Gaussians) -> Vec<TrainingView> {
+    let (sky, black) = (SkyCube::filled(8, SKY), SkyCube::filled(8, [0.0; 3]));
+    let mut white = moving.clone();
+    let stride = white.sh_stride();
+    white.sh.iter_mut().step_by(stride).for_each(|sh0| *sh0 = [10.0; 3]);
+    let view = |camera: Camera| {
+        let covered = render(&white, &black, &camera);
+        let mask = covered.plane(0).iter().map(|&v| u8::from(v > 0.4)).collect();
+        TrainingView {
+            camera,
+            image: ImageRgb8::from(&render(truth, &sky, &camera)),
+            mask: Mask::new(SIZE, mask).unwrap(),
+        }
+    };
+    cameras().into_iter().map(view).collect()
+}
+
+fn mean_psnr(g: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> f64 {
+    let psnr = |v: &TrainingView| {
+        let (found, truth) = (render(g, sky, &v.camera), PlanarImage::from(&v.image));
+        let squares: f64 = found.data().iter().zip(truth.data()).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        -10.0 * (squares / found.data().len() as f64).log10()
+    };
+    views.iter().map(psnr).sum::<f64>() / views.len() as f64
+}
+
+fn joint(a: &Gaussians, b: &Gaussians) -> Gaussians {
+    let mut out = a.clone();
+    out.extend(b);
+    out
+}
+
+/// Both end within 0.1 dB of each other and better than they began.
+fn assert_equal_quality(what: &str, before: f64, cpu: f64, gpu: f64) {
+    println!("{what}: {before:.3} dB at first, CPU {cpu:.3} dB, GPU {gpu:.3} dB");
+    assert!(cpu > before + 0.2 && (cpu - gpu).abs() < 0.1, "{what}: {before} dB, CPU {cpu}, GPU {gpu}");
+}
+
+fn half(first: usize) -> Mask {
+    let inside = |i: usize| u8::from(i % SIZE.width >= first && i / SIZE.width > 4 && i != 700);
+    Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).unwrap()
+}
+
+#[test]
+fn the_loss_and_its_gradient_agree() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let views = photographs(&blob(40, [0.0; 3], 1.0, 1), &blob(1, [0.0; 3], 0.1, 2));
+    let rendered = render(&blob(40, [0.1, 0.0, 0.0], 1.0, 1), &SkyCube::filled(8, SKY), &views[0].camera);
+    let pixels: Vec<[f32; 4]> =
+        (0..SIZE.pixels()).map(|p| rendered.pixel(p)).map(|[r, g, b]| [r, g, b, 1.0]).collect();
+    for region in [None, Some(half(13)), Some(Mask::filled(SIZE, false))] {
+        let selection = Selection { region: region.as_ref(), tiles: None, layers: None };
+        let target = Target::new(&gpu, &views[0].camera, &views[0].image, &selection).unwrap();
+        let workspace = Workspace::new(&gpu, 1, SIZE.pixels()).unwrap();
+        gpu.write(&workspace.scratch.pixels, &pixels);
+        let mut commands = gpu.commands();
+        workspace.loss(&mut commands, &target);
+        gpu.submit(commands).unwrap();
+        let found: Vec<[f32; 4]> = gpu.download(&workspace.scratch.upstream, SIZE.pixels()).unwrap();
+        let mut expected = PlanarImage::zeros(SIZE);
+        let whole = region.as_ref().map_or(LossRegion::Full, LossRegion::Mask);
+        let value = PhotometricLoss::new().evaluate(&rendered, &views[0].image, whole, &mut expected);
+        let largest = expected.data().iter().fold(1e-9_f32, |m, v| m.max(v.abs()));
+        for (p, rgbt) in found.iter().enumerate() {
+            for (found, expected) in rgbt.iter().zip(expected.pixel(p)) {
+                assert!((found - expected).abs() < 2e-4 * largest, "pixel {p}: {found}, not {expected}");
+            }
+            assert_eq!(rgbt[3], 0.0);
+        }
+        let [loss, mse] = workspace.running().unwrap();
+        assert!(
+            (loss - value.total).abs() < 1e-5 && (mse - value.mse).abs() < 1e-6,
+            "{loss} {mse} {value:?}"
+        );
+    }
+}
+
+#[test]
+fn steps_of_the_optimiser_agree() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let mut expected = blob(50, [0.0; 3], 1.0, 3);
+    let optimiser = Optimiser::new(&gpu, &expected).unwrap();
+    let mut adam = Adam::new(expected.len(), expected.sh_degree());
+    let rates = LearningRates { quats: 0.0, ..LearningRates::with_means(1e-3) };
+    for step in 1..=5_u32 {
+        let gradient = blob(50, [0.0; 3], 1e-6, 10 + u64::from(step));
+        let touched: Vec<bool> = (0..50).map(|i| i % (step as usize + 1) != 0).collect();
+        adam.step(&mut expected, &gradient, &rates, Update::Touched(&touched));
+        let rows: Vec<_> = (0..50).map(|i| ffgs_rasterizer_gpu::Geometry::of(&gradient, i)).collect();
+        gpu.write(&optimiser.gradients.scene.geometry, &rows);
+        gpu.write(&optimiser.gradients.scene.sh, &gradient.sh);
+        let ledger: Vec<Ledger> = (0..50)
+            .map(|i| Ledger {
+                stamp: if touched[i] { step } else { 0 },
+                steps: adam.steps()[i],
+                ..Ledger::default()
+            })
+            .collect();
+        gpu.write(&optimiser.gradients.ledger, &ledger);
+        optimiser.prepare(&rates, step);
+        let mut commands = gpu.commands();
+        optimiser.step(&mut commands);
+        gpu.submit(commands).unwrap();
+    }
+    let found = optimiser.download().unwrap();
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-6 * (1.0 + b.abs()));
+    assert!(close(found.means.as_flattened(), expected.means.as_flattened()));
+    assert_eq!(found.quats, expected.quats);
+    assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
+    assert!(close(&found.opacity_logits, &expected.opacity_logits));
+    assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+}
+
+#[test]
+fn the_sky_agrees() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let truth = blob(20, [0.0; 3], 0.5, 4);
+    let views = photographs(&truth, &blob(1, [9.0, 9.0, -3.0], 0.1, 2));
+    let start = SkyCube::filled(8, [0.4, 0.7, 0.6]);
+    let config = BackgroundConfig { sky_iterations: 25, sky_rate: 1e-2, ..BackgroundConfig::default() };
+    let (mut cpu, mut found) = (start.clone(), start.clone());
+    ffgs_trainer::train_sky(&config, &views, &truth, &mut cpu, 5);
+    train_sky(&gpu, &config, &views, &truth, &mut found, 5).unwrap();
+    for (t, (a, b)) in found.texels.iter().zip(&cpu.texels).enumerate() {
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-3), "texel {t}: {a:?}, not {b:?}");
+    }
+    assert!(found.texels != start.texels);
+    let mut same = start.clone();
+    let sky = GpuSky::new(&gpu, &start).unwrap();
+    sky.download(&gpu, &mut same).unwrap();
+    assert_eq!(same, start);
+}
+
+#[test]
+fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let (moving, around) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
+    let sky = SkyCube::filled(8, SKY);
+    let views = photographs(&joint(&moving, &around), &moving);
+    let start = perturbed(&moving, 8);
+    let surroundings = Surroundings { static_layer: &around, sky: &sky };
+    let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
+    let (mut cpu, mut found) = (start.clone(), start.clone());
+    ffgs_trainer::train_dynamic(&config, &views, surroundings, &mut cpu, 9, &mut |_| {});
+    let mut last = None;
+    train_dynamic(&gpu, &config, &views, surroundings, &mut found, 9, &mut |p| last = Some(p)).unwrap();
+    assert_eq!(last.map(|p| p.iteration), Some(60));
+    let quality = |g: &Gaussians| mean_psnr(&joint(g, &around), &sky, &views);
+    assert_equal_quality("dynamic", quality(&start), quality(&cpu), quality(&found));
+
+    // 100 steps more read exactly as many bytes as 60 did: those of the report and of the result.
+    let bytes = |iterations: usize| {
+        let before = gpu.traffic().down;
+        let config = DynamicLaneConfig { iterations, ..config };
+        train_dynamic(&gpu, &config, &views, surroundings, &mut start.clone(), 9, &mut |_| {}).unwrap();
+        gpu.traffic().down - before
+    };
+    let reports = 16;
+    assert_eq!(bytes(63), bytes(2));
+    assert_eq!(bytes(65), bytes(2) + reports);
+}
+
+#[test]
+fn the_static_lane_agrees() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let truth = blob(60, [0.0, 0.2, 0.3], 1.6, 7);
+    let sky = SkyCube::filled(8, SKY);
+    let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
+    let mut start = perturbed(&truth, 8);
+    start.means.clone_from(&truth.means);
+    let config = BackgroundConfig {
+        static_method: StaticMethod::Steps,
+        static_iterations: 60,
+        sh0_rate: 1e-2,
+        ..BackgroundConfig::default()
+    };
+    let (mut cpu, mut found) = (start.clone(), start.clone());
+    ffgs_trainer::StaticLane::default().train(&config, &views, &sky, &mut cpu, 3, &mut |_| {});
+    train_static(&gpu, &config, &views, &sky, &mut found, 3, &mut |_| {}).unwrap();
+    assert_eq!(found.means, start.means);
+    let quality = |g: &Gaussians| mean_psnr(g, &sky, &views);
+    assert_equal_quality("static", quality(&start), quality(&cpu), quality(&found));
+}
+
+#[test]
+fn the_first_frame_agrees() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let truth = blob(80, [0.0, 0.2, 0.3], 1.4, 7);
+    let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
+    let start = perturbed(&truth, 8);
+    let sky = SkyCube::filled(8, [0.4, 0.5, 0.7]);
+    let config = FirstFrameConfig {
+        iterations: 120,
+        densify_every: 30,
+        grow_gradient: 1e-4,
+        max_gaussians: 120,
+        ..FirstFrameConfig::default()
+    };
+    let cpu =
+        ffgs_trainer::train_first_frame(&config, &views, start.clone(), sky.clone(), 2.0, 4, &mut |_| {});
+    let found = train_first_frame(
+        &gpu,
+        &config,
+        &views,
+        FirstFrame { gaussians: start.clone(), sky: sky.clone() },
+        2.0,
+        4,
+        &mut |_| {},
+    )
+    .unwrap();
+    assert!(found.gaussians.len() > start.len() && found.gaussians.is_finite());
+    let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
+    assert_equal_quality("first frame", mean_psnr(&start, &sky, &views), quality(&cpu), quality(&found));
+}

@@ -1,0 +1,129 @@
+use crate::kernels;
+use crate::optimiser::Optimiser;
+use crate::target::Target;
+use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_rasterizer::{RenderOptions, TILE};
+use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, deal, prepare};
+use ffgs_trainer::{Progress, TrainingView};
+
+/// Steps between two looks at the running loss.
+const REPORT_EVERY: usize = 64;
+
+/// What the steps of a lane share besides the Gaussians.
+pub(crate) struct Workspace<'a> {
+    pub gpu: &'a Gpu,
+    pub scratch: Scratch,
+    partials: Buffer,
+    sums: Buffer,
+    progress: Buffer,
+}
+
+impl<'a> Workspace<'a> {
+    /// Room for views of up to `pixels` pixels.
+    pub fn new(gpu: &'a Gpu, gaussians: usize, pixels: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            gpu,
+            scratch: Scratch::new(gpu, Capacity::guess(gaussians, pixels))?,
+            partials: gpu.buffer("loss derivatives", pixels as u64 * 48)?,
+            // A tile holds at least a pixel of each 16 x 16 block, whatever the image's shape.
+            sums: gpu.buffer("loss sums", pixels as u64 * 48)?,
+            progress: gpu.buffer("progress", 16)?,
+        })
+    }
+
+    /// Makes room for `scene` in every view, and half as much again for what training adds. Waits for the device.
+    pub fn fit(
+        &mut self,
+        scene: &GpuScene,
+        targets: &[Target],
+        options: RenderOptions,
+    ) -> Result<(), GpuError> {
+        let gpu = self.gpu;
+        self.scratch.ensure(gpu, Capacity { gaussians: scene.count, ..Capacity::default() })?;
+        self.scratch.restart(gpu, scene.count);
+        for target in targets {
+            prepare(gpu, scene, &target.view, &self.scratch, options, 0);
+            let mut commands = gpu.commands();
+            deal(&mut commands, scene, &target.view, &self.scratch);
+            gpu.submit(commands)?;
+        }
+        let needed = self.scratch.needed(gpu)?.with_margin();
+        self.scratch.ensure(gpu, needed)?;
+        self.scratch.restart(gpu, scene.count);
+        gpu.write(&self.progress, &[0.0_f32; 4]);
+        Ok(())
+    }
+
+    /// Makes room for what the renders since [`Workspace::fit`] lacked. Waits for the device.
+    pub fn grow(&mut self) -> Result<(), GpuError> {
+        let needed = self.scratch.needed(self.gpu)?.with_margin();
+        self.scratch.ensure(self.gpu, needed)
+    }
+
+    /// Whether every render since [`Workspace::fit`] had room for all splats. Waits for the device.
+    pub fn was_enough(&self) -> Result<bool, GpuError> {
+        Ok(self.scratch.holds(self.scratch.needed(self.gpu)?))
+    }
+
+    /// Records the loss of the last render against `target`: derivatives into the scratch's upstream, value into the
+    /// running means.
+    pub fn loss(&self, commands: &mut Commands, target: &Target) {
+        let (view, s) = (&target.view, &self.scratch);
+        let (slots, groups) = (view.slot_list(), Groups::of(3 * view.slots(), 1));
+        let statistics =
+            [&target.loss, slots, &target.region, &target.photograph, &s.pixels, &self.partials, &self.sums];
+        commands.run(&kernels::LOSS_STATISTICS, &statistics, groups);
+        let gradient = [
+            &target.loss,
+            slots,
+            &target.region,
+            &target.photograph,
+            &s.pixels,
+            &self.partials,
+            &self.sums,
+            &s.upstream,
+        ];
+        commands.run(&kernels::LOSS_GRADIENT, &gradient, groups);
+        commands.run(&kernels::LOSS_VALUE, &[&target.loss, &self.sums, &self.progress], Groups::Direct(1));
+    }
+
+    /// Running means of the loss and of the squared error: 16 bytes. Waits for the device.
+    pub fn running(&self) -> Result<[f64; 2], GpuError> {
+        let progress: Vec<f32> = self.gpu.download(&self.progress, 4)?;
+        Ok([f64::from(progress[0]), f64::from(progress[1])])
+    }
+
+    /// Reports now and then, and at the end. Waits for the device when it does.
+    pub fn report(
+        &self,
+        done: usize,
+        iterations: usize,
+        optimiser: &Optimiser,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<(), GpuError> {
+        if !done.is_multiple_of(REPORT_EVERY) && done != iterations {
+            return Ok(());
+        }
+        let [loss, mse] = self.running()?;
+        report(Progress {
+            iteration: done,
+            iterations,
+            loss,
+            psnr: -10.0 * mse.max(1e-12).log10(),
+            gaussians: optimiser.scene.count,
+        });
+        Ok(())
+    }
+}
+
+/// Pixels of the largest of some views.
+pub(crate) fn largest_view(views: &[TrainingView]) -> usize {
+    views.iter().map(|v| v.camera.size().pixels()).max().unwrap_or(1)
+}
+
+/// Layers that hold the largest of some views whole.
+pub(crate) fn shared_layers(gpu: &Gpu, views: &[TrainingView]) -> Result<Buffer, GpuError> {
+    let tiles =
+        |v: &TrainingView| v.camera.size().width.div_ceil(TILE) * v.camera.size().height.div_ceil(TILE);
+    gpu.buffer("layers", GpuView::layer_bytes(views.iter().map(tiles).max().unwrap_or(1)))
+}

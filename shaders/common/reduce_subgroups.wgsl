@@ -1,0 +1,32 @@
+// Sums of nine values over the 64 invocations of a workgroup, for sixteen splats at a time, by subgroup operations.
+// The order of a sum is the adapter's own and always the same: equal inputs give equal bits.
+
+const REDUCED: u32 = 16u;
+// The smallest subgroups have four invocations.
+const MOST_SUBGROUPS: u32 = 16u;
+
+var<workgroup> partial_sums: array<f32, 2304>;
+var<private> own_subgroup: u32;
+var<private> subgroup_count: u32;
+var<private> own_lane: u32;
+
+fn place_in_subgroups(subgroup: u32, subgroups: u32, lane: u32) {
+    own_subgroup = subgroup;
+    subgroup_count = min(subgroups, MOST_SUBGROUPS);
+    own_lane = lane;
+}
+
+fn keep_partial(slot: u32, value: u32, local: u32, x: f32) {
+    let sum = subgroupAdd(x);
+    if own_lane == 0u {
+        partial_sums[(slot * ENTRY + value) * MOST_SUBGROUPS + own_subgroup] = sum;
+    }
+}
+
+fn total_of(row: u32) -> f32 {
+    var sum = 0.0;
+    for (var i = 0u; i < subgroup_count; i++) {
+        sum += partial_sums[row * MOST_SUBGROUPS + i];
+    }
+    return sum;
+}

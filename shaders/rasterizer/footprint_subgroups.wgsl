@@ -1,0 +1,14 @@
+// Footprint sums by subgroup operations. Floor: 56 B read and 36 B written a pair, 4 B a pixel and channel.
+
+@compute @workgroup_size(64)
+fn footprint_subgroups(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+    @builtin(subgroup_id) subgroup: u32,
+    @builtin(num_subgroups) subgroups: u32,
+    @builtin(subgroup_invocation_id) lane: u32,
+) {
+    place_in_subgroups(subgroup, subgroups, lane);
+    sum_tile(linear_group(group, groups), local);
+}

@@ -1,0 +1,32 @@
+// Sums each Gaussian's footprint over its tiles, in the order of its entries. Floor: 36 B a pair, 52 B a Gaussian.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> extents: array<vec4u>;
+@group(0) @binding(2) var<storage, read> entries: array<f32>;
+// (Gaussian, 9).
+@group(0) @binding(3) var<storage, read_write> totals: array<f32>;
+
+@compute @workgroup_size(256)
+fn footprint_totals(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = linear_group(group, groups) * 256u + local;
+    if i >= view.count {
+        return;
+    }
+    let extent = extents[i];
+    var sums: array<f32, 9>;
+    if extent.x > 0u {
+        let end = min(extent.w + extent.x, view.pair_capacity);
+        for (var entry = extent.w; entry < end; entry++) {
+            for (var v = 0u; v < ENTRY; v++) {
+                sums[v] += entries[entry * ENTRY + v];
+            }
+        }
+    }
+    for (var v = 0u; v < ENTRY; v++) {
+        totals[i * ENTRY + v] = sums[v];
+    }
+}

@@ -1,0 +1,216 @@
+// From derivatives per entry to derivatives of the Gaussians' parameters: sums each splat's entries in their order and
+// goes back through the projection. CPU twin: rasterizer/src/projection_backward.rs.
+// Floor: 36 B a pair; 64 B read and 64 B written a Gaussian in sight, and 36 B an SH coefficient; about 900 operations.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> geometry: array<Geometry>;
+@group(0) @binding(2) var<storage, read> sh: array<f32>;
+@group(0) @binding(3) var<storage, read> extents: array<vec4u>;
+@group(0) @binding(4) var<storage, read> entries: array<f32>;
+@group(0) @binding(5) var<storage, read_write> geometry_gradient: array<Geometry>;
+@group(0) @binding(6) var<storage, read_write> sh_gradient: array<f32>;
+@group(0) @binding(7) var<storage, read_write> ledger: array<Ledger>;
+// Per Gaussian, derivatives by the rows of the rotation and by the translation of camera_from_world; only when asked for.
+@group(0) @binding(8) var<storage, read_write> pose: array<array<f32, 12>>;
+
+// Derivative by the projected axes, a column per axis of the Gaussian: -2 Q G Q a, with Q the conic and G the symmetric
+// derivative by it. Q a cancels for needles; in its place adj(C) a = sum over other axes b of (b x a) b' + 0.3 a, where
+// b' is b turned by a right angle and the products b x a are the components of `area`.
+fn axes_gradient(e: Ewa, conic: vec3f, g: vec3f) -> array<vec3f, 2> {
+    let x = e.axes[0];
+    let y = e.axes[1];
+    let turned_x = vec3f(
+        y.y * e.area.z - y.z * e.area.y,
+        y.z * e.area.x - y.x * e.area.z,
+        y.x * e.area.y - y.y * e.area.x,
+    );
+    let turned_y = vec3f(
+        x.z * e.area.y - x.y * e.area.z,
+        x.x * e.area.z - x.z * e.area.x,
+        x.y * e.area.x - x.x * e.area.y,
+    );
+    let qx = (turned_x + PIXEL_FILTER * x) / e.determinants.y;
+    let qy = (turned_y + PIXEL_FILTER * y) / e.determinants.y;
+    let gx = -2.0 * g.x * qx - g.y * qy;
+    let gy = -g.y * qx - 2.0 * g.z * qy;
+    return array(conic.x * gx + conic.y * gy, conic.y * gx + conic.z * gy);
+}
+
+// By the covariance, through compensation = sqrt(det / det_filtered); `upstream` is the derivative by it.
+fn compensation_gradient(e: Ewa, upstream: f32) -> vec3f {
+    let ratio = e.determinants.x / e.determinants.y;
+    if view.antialiased == 0u || !(ratio > MIN_COMPENSATION * MIN_COMPENSATION) {
+        return vec3f(0.0);
+    }
+    let d0 = upstream / (2.0 * compensation_of(e)) / e.determinants.y;
+    let d1 = -d0 * ratio;
+    let raw = e.covariance;
+    return vec3f(
+        d0 * raw.z + d1 * e.filtered.z,
+        -2.0 * raw.y * (d0 + d1),
+        d0 * raw.x + d1 * e.filtered.x,
+    );
+}
+
+struct ShapeGradient {
+    // By the camera-space position.
+    point: vec3f,
+    // By rotation * diag(scales).
+    shape: mat3x3f,
+    // By the rows of the Jacobian times the camera's rotation.
+    to_pixels: array<vec3f, 2>,
+}
+
+fn shape_gradient(e: Ewa, d_axes: array<vec3f, 2>, mean2d: vec2f) -> ShapeGradient {
+    var g: ShapeGradient;
+    let rotation = camera_rotation();
+    let z = e.point.z;
+    for (var axis = 0u; axis < 2u; axis++) {
+        let row = e.to_pixels[axis];
+        let d = d_axes[axis];
+        g.shape += mat3x3f(row * d.x, row * d.y, row * d.z);
+        g.to_pixels[axis] = e.shape * d;
+        let f = view.focal[axis];
+        let d_jacobian = rotation * g.to_pixels[axis];
+        // Jacobian row: f/z on the axis, -f slope / z along the optical axis.
+        let along = f * e.slope[axis] / (z * z) * d_jacobian.z;
+        g.point.z += along - f / (z * z) * d_jacobian[axis];
+        if !e.clamped[axis] {
+            g.point[axis] -= f / (z * z) * d_jacobian.z;
+            g.point.z += along;
+        }
+        g.point[axis] += f / z * mean2d[axis];
+        g.point.z -= f * e.point[axis] / (z * z) * mean2d[axis];
+    }
+    return g;
+}
+
+// By the entries of a quaternion, given the derivative by the rotation matrix of its unit quaternion.
+fn quaternion_gradient(q: vec4f, d: mat3x3f) -> vec4f {
+    let u = unit_quaternion(q);
+    let w = u.x;
+    let x = u.y;
+    let y = u.z;
+    let z = u.w;
+    let by_unit = vec4f(
+        2.0 * (x * (d[1][2] - d[2][1]) + y * (d[2][0] - d[0][2]) + z * (d[0][1] - d[1][0])),
+        2.0 * (y * (d[1][0] + d[0][1]) + z * (d[2][0] + d[0][2]) + w * (d[1][2] - d[2][1]))
+            - 4.0 * x * (d[1][1] + d[2][2]),
+        2.0 * (x * (d[1][0] + d[0][1]) + z * (d[2][1] + d[1][2]) + w * (d[2][0] - d[0][2]))
+            - 4.0 * y * (d[0][0] + d[2][2]),
+        2.0 * (x * (d[2][0] + d[0][2]) + y * (d[2][1] + d[1][2]) + w * (d[0][1] - d[1][0]))
+            - 4.0 * z * (d[0][0] + d[1][1]),
+    );
+    let squared = dot(q, q);
+    let length = select(1.0, sqrt(squared), squared > 0.0);
+    return (by_unit - dot(by_unit, u) * u) / length;
+}
+
+// Writes the SH derivatives and returns that by the mean through the viewing direction.
+fn colour_gradient(i: u32, offset: vec3f, upstream: vec3f, fresh: bool) -> vec3f {
+    let distance = length(offset);
+    let direction = select(vec3f(0.0), offset / distance, distance > 0.0);
+    let basis = sh_basis(view.sh_degree, direction);
+    let slopes = sh_basis_gradient(view.sh_degree, direction);
+    let used = sh_coefficients(view.sh_degree);
+    var colour = vec3f(0.5);
+    for (var k = 0u; k < used; k++) {
+        let at = (i * view.sh_stride + k) * 3u;
+        colour += basis[k] * vec3f(sh[at], sh[at + 1u], sh[at + 2u]);
+    }
+    let shown = select(vec3f(0.0), upstream, colour > vec3f(0.0));
+    var along = vec3f(0.0);
+    for (var k = 0u; k < view.sh_stride; k++) {
+        let at = (i * view.sh_stride + k) * 3u;
+        var d = vec3f(0.0);
+        if k < used {
+            d = basis[k] * shown;
+            along += slopes[k] * dot(vec3f(sh[at], sh[at + 1u], sh[at + 2u]), shown);
+        }
+        for (var c = 0u; c < 3u; c++) {
+            sh_gradient[at + c] = select(sh_gradient[at + c], 0.0, fresh) + d[c];
+        }
+    }
+    if view.sh_degree == 0u || !(distance > 0.0) {
+        return vec3f(0.0);
+    }
+    return (along - direction * dot(direction, along)) / distance;
+}
+
+// Through the camera-space position, the projected shape and the camera centre that the viewing direction starts from.
+fn write_pose(i: u32, mean: vec3f, e: Ewa, shape: ShapeGradient, from_direction: vec3f) {
+    let rotation = camera_rotation();
+    let toward_center = rotation * from_direction;
+    let center = rotation * (view.center_high + view.center_low);
+    for (var row = 0u; row < 3u; row++) {
+        var d = shape.point[row] * mean - center[row] * from_direction;
+        for (var axis = 0u; axis < 2u; axis++) {
+            var jacobian = vec3f(0.0, 0.0, -view.focal[axis] / e.point.z * e.slope[axis]);
+            jacobian[axis] = view.focal[axis] / e.point.z;
+            d += jacobian[row] * shape.to_pixels[axis];
+        }
+        pose[i][row * 3u] = d.x;
+        pose[i][row * 3u + 1u] = d.y;
+        pose[i][row * 3u + 2u] = d.z;
+        pose[i][9u + row] = shape.point[row] + toward_center[row];
+    }
+}
+
+@compute @workgroup_size(256)
+fn projection_backward(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = linear_group(group, groups) * 256u + local;
+    if i >= view.count {
+        return;
+    }
+    let extent = extents[i];
+    if extent.x == 0u {
+        return;
+    }
+    var s: array<f32, 9>;
+    let end = min(extent.w + extent.x, view.pair_capacity);
+    for (var entry = extent.w; entry < end; entry++) {
+        for (var v = 0u; v < ENTRY; v++) {
+            s[v] += entries[entry * ENTRY + v];
+        }
+    }
+    let g = geometry[i];
+    let e = project_shape(g);
+    let conic = conic_of(e);
+    let mean2d = vec2f(conic.x * s[0] + conic.y * s[1], conic.y * s[0] + conic.z * s[1]);
+    let alpha = sigmoid(g.opacity_logit);
+    var d_axes = axes_gradient(e, conic, vec3f(-0.5 * s[2], -s[3], -0.5 * s[4]));
+    let compensation = compensation_gradient(e, s[5] * alpha);
+    d_axes[0] += 2.0 * compensation.x * e.axes[0] + compensation.y * e.axes[1];
+    d_axes[1] += compensation.y * e.axes[0] + 2.0 * compensation.z * e.axes[1];
+    let shape = shape_gradient(e, d_axes, mean2d);
+
+    let fresh = ledger[i].stamp != view.stamp;
+    let from_direction = colour_gradient(i, e.offset, vec3f(s[6], s[7], s[8]), fresh);
+    var d: Geometry;
+    if !fresh {
+        d = geometry_gradient[i];
+    }
+    d.mean += transpose(camera_rotation()) * shape.point + from_direction;
+    let turn = mat3x3f(shape.shape[0] * e.scales.x, shape.shape[1] * e.scales.y, shape.shape[2] * e.scales.z);
+    d.quat += quaternion_gradient(g.quat, turn);
+    d.log_scale += vec3f(
+        dot(shape.shape[0], e.shape[0]),
+        dot(shape.shape[1], e.shape[1]),
+        dot(shape.shape[2], e.shape[2]),
+    );
+    d.opacity_logit += s[5] * compensation_of(e) * alpha * (1.0 - alpha);
+    geometry_gradient[i] = d;
+    ledger[i].stamp = view.stamp;
+    if fresh {
+        ledger[i].steps += 1u;
+    }
+    ledger[i].views += 1u;
+    ledger[i].gradient_norm += length(mean2d * vec2f(view.size) * 0.5);
+    if view.with_pose != 0u {
+        write_pose(i, g.mean, e, shape, from_direction);
+    }
+}

@@ -1,0 +1,43 @@
+// One step of Adam over a column set of `width` values an item, for the items that the step's views saw.
+// CPU twin: trainer/src/adam.rs. Floor: 28 B a value of those items.
+
+struct Adam {
+    items: u32,
+    width: u32,
+    stamp: u32,
+    padding: u32,
+    // Step size per value of an item; 0 leaves the value and its moments alone.
+    rates: array<vec4f, 12>,
+}
+
+@group(0) @binding(0) var<uniform> adam_step: Adam;
+@group(0) @binding(1) var<storage, read> ledger: array<Ledger>;
+// Factors of the two moments by number of steps.
+@group(0) @binding(2) var<storage, read> corrections: array<vec2f>;
+@group(0) @binding(3) var<storage, read> gradient: array<f32>;
+@group(0) @binding(4) var<storage, read_write> parameters: array<f32>;
+@group(0) @binding(5) var<storage, read_write> first: array<f32>;
+@group(0) @binding(6) var<storage, read_write> second: array<f32>;
+
+@compute @workgroup_size(256)
+fn adam(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = linear_group(group, groups) * 256u + local;
+    let item = at / adam_step.width;
+    if item >= adam_step.items {
+        return;
+    }
+    let column = at % adam_step.width;
+    let rate = adam_step.rates[column / 4u][column % 4u];
+    let entry = ledger[item];
+    if entry.stamp != adam_step.stamp || rate == 0.0 {
+        return;
+    }
+    let moments = next_moments(first[at], second[at], gradient[at]);
+    first[at] = moments.x;
+    second[at] = moments.y;
+    parameters[at] -= step_of(moments, rate, corrections[min(entry.steps, CORRECTED_STEPS)]);
+}
