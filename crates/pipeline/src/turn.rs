@@ -114,7 +114,7 @@ mod tests {
     fn turning_scene_and_camera_together_changes_nothing() {
         let mut scene = Gaussians::zeros(3, 3);
         for i in 0..3 {
-            scene.means[i] = [0.3 * i as f32 - 0.3, 0.1 * i as f32, 0.2];
+            scene.means[i] = [0.3 * i as f32 - 0.3, 0.1 * i as f32, 0.2 + 0.1 * i as f32];
             scene.quats[i] = [1.0, 0.2 * i as f32, -0.3, 0.1];
             scene.log_scales[i] = [-2.0, -2.5, -1.5];
             scene.opacity_logits[i] = 1.0;

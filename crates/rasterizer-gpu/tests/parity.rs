@@ -97,7 +97,11 @@ fn compare(gpu: &Gpu, case: &Case) {
     compare_pixels(case.name, found.image.data(), expected.image.data());
     compare_pixels(case.name, &found.transmittance, &expected.transmittance);
     gradients.fill_untouched();
-    assert_eq!(gradients.touched, expected_gradients.touched, "{}: touched", case.name);
+    // Whether a splat reaches a tile at the very rim of its ellipse is a rounding decision; then it has no gradient.
+    for i in (0..gradients.touched.len()).filter(|&i| gradients.touched[i] != expected_gradients.touched[i]) {
+        let touched = if gradients.touched[i] { &gradients } else { &expected_gradients };
+        assert_eq!(touched.gaussians.opacity_logits[i], 0.0, "{}: Gaussian {i} touched", case.name);
+    }
     let (a, b) = (&gradients.gaussians, &expected_gradients.gaussians);
     compare_column(case.name, "means", a.means.as_flattened(), b.means.as_flattened());
     compare_column(case.name, "quats", a.quats.as_flattened(), b.quats.as_flattened());
