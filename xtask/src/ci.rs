@@ -98,7 +98,8 @@ fn tests(root: &Path) -> Result<Outcome> {
 
 /// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.
 fn main_job(root: &Path) -> Result<Outcome> {
-    let program = ffgs::build(root)?;
+    // The tests have built most of this profile; it is optimised as well.
+    let program = ffgs::build_in(root, "dev")?;
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     let out = folder.path().join("run");
     let mut command = Command::new(program);

@@ -35,20 +35,30 @@ pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
 
 /// Builds the release binary and returns its path.
 pub fn build(root: &Path) -> Result<PathBuf> {
+    build_in(root, "release")
+}
+
+/// Builds the binary with a profile, `release` or `dev`, and returns its path.
+pub fn build_in(root: &Path, profile: &str) -> Result<PathBuf> {
+    let binary = binary(root, profile);
     let mut command = workspace::cargo(root);
-    command.args(["build", "--release", "-p", "ffgs-pipeline", "--bin", "ffgs"]);
+    command.args(["build", "--profile", profile, "-p", "ffgs-pipeline", "--bin", "ffgs"]);
     // A first build takes minutes and shows its progress; later ones leave the screen to the program.
-    if binary(root).is_file() {
+    if binary.is_file() {
         command.arg("--quiet");
     }
     let status = command.status().context("cannot start cargo")?;
     ensure!(status.success(), "the build of ffgs failed");
-    Ok(binary(root))
+    Ok(binary)
 }
 
-/// Where the release binary lies.
-pub fn binary(root: &Path) -> PathBuf {
-    workspace::target(root).join("release").join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
+/// Where the binary of a profile lies.
+fn binary(root: &Path, profile: &str) -> PathBuf {
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir));
+    // Cargo's folder of the profile `dev` has another name.
+    let folder = if profile == "dev" { "debug" } else { profile };
+    target.join(folder).join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
 }
 
 fn start(program: &Path, args: &[String]) -> Result<ExitStatus> {
