@@ -79,9 +79,11 @@ fn differentiate_tile(slot: u32, local: u32) {
                 var around = array<f32, 5>();
                 var d_opacity = 0.0;
                 var d_colour = vec3f(0.0);
+                var adds = false;
                 for (var r = 0u; r < ROWS; r++) {
                     let a = alpha_at(k, origin + local_pixel(local, r));
                     if first + k < counted[r] && a.alpha > 0.0 {
+                        adds = true;
                         let weight = a.alpha * transmittance[r];
                         let shown = dot(gradient[r], shade);
                         behind[r] -= weight * shown;
@@ -100,6 +102,12 @@ fn differentiate_tile(slot: u32, local: u32) {
                         d_opacity += d;
                         d_colour += weight * gradient[r];
                     }
+                }
+                if !any_adds(adds) {
+                    for (var v = 0u; v < ENTRY; v++) {
+                        keep_nothing(j, v, local);
+                    }
+                    continue;
                 }
                 for (var v = 0u; v < 5u; v++) {
                     keep_partial(j, v, local, around[v]);

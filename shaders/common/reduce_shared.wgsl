@@ -7,6 +7,15 @@ const REDUCE_STRIDE: u32 = 65u;
 
 var<workgroup> partial_sums: array<f32, 2340>;
 
+// Whether this invocation has something to add.
+fn any_adds(adds: bool) -> bool {
+    return adds;
+}
+
+fn keep_nothing(slot: u32, value: u32, local: u32) {
+    keep_partial(slot, value, local, 0.0);
+}
+
 fn keep_partial(slot: u32, value: u32, local: u32, x: f32) {
     partial_sums[(slot * ENTRY + value) * REDUCE_STRIDE + local] = x;
 }

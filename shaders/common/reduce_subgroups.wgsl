@@ -16,6 +16,17 @@ fn place_in_subgroups(subgroup: u32, subgroups: u32, lane: u32) {
     own_lane = lane;
 }
 
+// Whether any invocation of the subgroup has something to add; the others then need not.
+fn any_adds(adds: bool) -> bool {
+    return subgroupAny(adds);
+}
+
+fn keep_nothing(slot: u32, value: u32, local: u32) {
+    if own_lane == 0u {
+        partial_sums[(slot * ENTRY + value) * MOST_SUBGROUPS + own_subgroup] = 0.0;
+    }
+}
+
 fn keep_partial(slot: u32, value: u32, local: u32, x: f32) {
     let sum = subgroupAdd(x);
     if own_lane == 0u {

@@ -23,15 +23,16 @@ fn traffic_counts_every_byte() {
     assert_eq!((after.up - before.up, after.down - before.down), (40, 28));
 }
 
+const BROKEN: Kernel = Kernel {
+    name: "broken",
+    source: &["@group(0) @binding(0) var<storage, read_write> a: array<u32>;
+        @compute @workgroup_size(1) fn broken() { a[0] = 1.5; }"],
+    subgroups: false,
+};
+
 #[test]
 fn a_shader_that_does_not_compile_is_an_error() {
     let Some(gpu) = Gpu::for_test() else { return };
-    const BROKEN: Kernel = Kernel {
-        name: "broken",
-        source: &["@group(0) @binding(0) var<storage, read_write> a: array<u32>;
-            @compute @workgroup_size(1) fn broken() { a[0] = 1.5; }"],
-        subgroups: false,
-    };
     let values = gpu.upload("values", &[1_u32]).unwrap();
     let mut commands = gpu.commands();
     commands.run(&BROKEN, &[&values], Groups::Direct(1));
