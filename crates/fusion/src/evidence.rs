@@ -24,7 +24,8 @@ impl<'a> Evidence<'a> {
     pub fn new(estimates: &'a [Estimates]) -> Self {
         let one = |e: &Estimates, i: usize| {
             let inverse = symmetric_inverse(e.covariances[i]);
-            let usable = e.status[i] == EstimateStatus::Ok && inverse.is_finite() && e.means[i].is_finite();
+            let finite = inverse.is_finite() && e.means[i].is_finite();
+            let usable = e.status[i] == EstimateStatus::Ok && finite && inverse.x_axis.x > 0.0;
             if usable { inverse } else { DMat3::ZERO }
         };
         let column =
@@ -40,12 +41,13 @@ impl<'a> Evidence<'a> {
     /// Mean (m) and inverse covariance of an estimate; `None` where there is none.
     pub fn of(&self, l: usize, i: usize) -> Option<(DVec3, DMat3)> {
         let information = self.information[l][i];
-        (information != DMat3::ZERO).then(|| (self.estimates[l].means[i], information))
+        // An information matrix has a positive diagonal.
+        (information.x_axis.x > 0.0).then(|| (self.estimates[l].means[i], information))
     }
 
     /// Whether any tracker measured Gaussian `i`.
     pub fn measured(&self, i: usize) -> bool {
-        self.information.iter().any(|column| column[i] != DMat3::ZERO)
+        self.information.iter().any(|column| column[i].x_axis.x > 0.0)
     }
 
     /// Mean of the estimates weighted by information over scale, and the sum of the informations.

@@ -71,7 +71,7 @@ pub fn skew(a: DVec3) -> DMat3 {
 }
 
 /// Most re-weighted Gauss-Newton steps.
-const STEPS: usize = 12;
+const STEPS: usize = 6;
 /// A change below this (m, rad) ends them; the next one would be far smaller than any tracker's error.
 const CONVERGED: f64 = 1e-4;
 

@@ -11,6 +11,7 @@ mod frame;
 mod lanes;
 mod manifest;
 mod motion;
+mod motion_ablation;
 pub mod motion_eval;
 mod motion_simulated;
 pub mod record;

@@ -4,6 +4,7 @@ use crate::cli::{FrameRange, Init, LogArgs};
 use crate::config::Config;
 use crate::frame::{TrainViews, load_training};
 use crate::motion::{Dynamic, MotionInput, MotionOutcome, fuse, observe, positions, triangulate};
+use crate::motion_ablation::ABLATIONS;
 use crate::record::{RunFolder, write_json};
 use crate::state;
 use anyhow::{Context, Result, bail, ensure};
@@ -54,6 +55,9 @@ pub struct MotionEvalArgs {
     /// Writes all figures
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// One line each for the configuration, Algorithm 1 to the letter, and every single change
+    #[arg(long, conflicts_with_all = ["json", "per_frame"])]
+    pub ablations: bool,
     /// One table a frame, not only that over all frames
     #[arg(long)]
     pub per_frame: bool,
@@ -108,6 +112,9 @@ type Cells = BTreeMap<String, BTreeMap<String, Cell>>;
 
 /// Scores and prints.
 pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
+    if args.ablations {
+        return ablations(args);
+    }
     if args.simulate {
         print!("{}", table(&crate::motion_simulated::rows(&configuration(args)?)?));
         return Ok(());
@@ -138,6 +145,30 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
     if let Some(file) = &args.json {
         write_json(file, &Report { frames, all_frames: entries(&all), flow })?;
     }
+    Ok(())
+}
+
+/// The fused estimate of the bodies, or of all simulated scenes, under each change.
+fn ablations(args: &MotionEvalArgs) -> Result<()> {
+    let mut rows = Vec::new();
+    let mut eval = if args.simulate { None } else { Some(Evaluation::open(args)?) };
+    for (name, change) in ABLATIONS {
+        let mut config = configuration(args)?;
+        change(&mut config);
+        let cell = match &mut eval {
+            None => {
+                let samples = crate::motion_simulated::all_samples(&config)?;
+                Cell { candidates: samples.len(), samples, ..Cell::default() }
+            }
+            Some(eval) => {
+                eval.config = config;
+                eval.bodies()?
+            }
+        };
+        let summary = summarise(&cell.samples);
+        rows.push(Row { name: name.into(), candidates: cell.candidates, summary });
+    }
+    print!("{}", table(&rows));
     Ok(())
 }
 
@@ -181,6 +212,15 @@ impl Evaluation {
             None => initial_points(&capture)?,
         };
         Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, start })
+    }
+
+    /// The fused estimate of the bodies over all frames.
+    fn bodies(&self) -> Result<Cell> {
+        let mut all = Cells::new();
+        for frame in self.frames.clone() {
+            merge(&mut all, self.frame(frame, &mut BTreeMap::new())?.0);
+        }
+        Ok(all.remove("fused").and_then(|mut parts| parts.remove("bodies")).unwrap_or_default())
     }
 
     /// The layers at the start of a frame.

@@ -9,6 +9,20 @@ use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use glam::{DMat3, DVec3};
 
+/// Errors of the fusion as configured over all scenarios, rigs and seeds.
+pub fn all_samples(config: &Config) -> Result<Vec<Sample>> {
+    let mut samples = Vec::new();
+    for scenario in Scenario::ALL {
+        for (rig, seed) in RIGS.into_iter().flat_map(|r| SEEDS.map(move |s| (r, s))) {
+            let scene = simulate(&Recipe { scenario, rig, seed, ..Recipe::default() });
+            samples.extend(score(&scene, &estimate(&scene, config)?, config.fusion)?);
+        }
+    }
+    Ok(samples)
+}
+
+/// Rigs of every scenario.
+const RIGS: [Rig; 3] = [Rig::Trackside, Rig::Ring, Rig::Dome];
 /// Seeds of every combination.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 
@@ -16,7 +30,7 @@ const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 pub fn rows(config: &Config) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for scenario in Scenario::ALL {
-        for rig in [Rig::Trackside, Rig::Ring, Rig::Dome] {
+        for rig in RIGS {
             let mut samples = [Vec::new(), Vec::new()];
             for seed in SEEDS {
                 let scene = simulate(&Recipe { scenario, rig, seed, ..Recipe::default() });

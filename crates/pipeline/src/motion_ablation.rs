@@ -1,0 +1,76 @@
+//! `ffgs motion-eval --ablations`: each departure from Algorithm 1 taken back alone, and each option tried alone.
+
+use crate::config::Config;
+use ffgs_fusion::{FusionConfig, PriorModel, ProcessNoise, Structure};
+use ffgs_triangulation::TriangulationConfig;
+use ffgs_voronoi::{AgreementConfig, Method, SourceFilter};
+
+/// A name and what it changes in the configuration.
+pub type Ablation = (&'static str, fn(&mut Config));
+
+/// In the order of the stages.
+pub const ABLATIONS: [Ablation; 23] = [
+    ("as configured", |_| {}),
+    ("literal: Algorithms 1 and 2", literal),
+    ("literal fusion", |c| c.fusion = FusionConfig::literal()),
+    ("rigid neighbourhoods for groups", |c| c.fusion.structure = Structure::RigidNeighbours),
+    ("tracks of the whole image", |c| c.voronoi.source_filter = SourceFilter::All),
+    ("visibility in the confidence", |c| c.voronoi.use_visibility = true),
+    ("kernel twice as wide", |c| c.voronoi.sigma *= 2.0),
+    ("kernel half as wide", |c| c.voronoi.sigma *= 0.5),
+    ("natural neighbours", |c| c.voronoi.method = Method::NaturalNeighbour),
+    ("no agreement floor", |c| c.agreement.magnitude_floor_px = 0.0),
+    ("unknown counts as disagreement", |c| c.agreement.ignore_unknown = false),
+    ("no flow floor", |c| c.association.flow_floor_px = 0.0),
+    ("no depth weighting, no refinement", |c| {
+        c.triangulation.depth_weighting = false;
+        c.triangulation.refine = false;
+    }),
+    ("no refinement", |c| c.triangulation.refine = false),
+    ("own residuals only", |c| c.triangulation.pooled_degrees = 0.0),
+    ("25-degree rule", |c| c.triangulation.collinear_degrees = 25.0),
+    ("no robust weights", |c| c.triangulation.robust = false),
+    ("literal triangulation", |c| c.triangulation = TriangulationConfig::literal()),
+    ("literal fusion, q per object", |c| {
+        c.fusion = FusionConfig { q_mode: ProcessNoise::PerObject, ..FusionConfig::literal() };
+    }),
+    ("literal fusion, constant velocity", |c| {
+        c.fusion = FusionConfig { prior: PriorModel::ConstantVelocity, ..FusionConfig::literal() };
+    }),
+    ("literal fusion, gate 16.3", |c| c.fusion = FusionConfig { gate: 16.3, ..FusionConfig::literal() }),
+    ("literal fusion, covariances x 10", |c| {
+        c.fusion = FusionConfig { correlation_inflation: 10.0, ..FusionConfig::literal() };
+    }),
+    ("cells of 128", |c| c.fusion.groups.cell = 128),
+];
+
+/// The seed to the letter, apart from the number of contributors.
+pub fn literal(config: &mut Config) {
+    config.voronoi.source_filter = SourceFilter::All;
+    config.voronoi.use_visibility = false;
+    config.agreement = AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false };
+    config.association.flow_floor_px = 0.0;
+    config.association.rotate = crate::config::Rotate::Nothing;
+    config.triangulation = TriangulationConfig::literal();
+    config.fusion = FusionConfig::literal();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_ablation_but_the_first_changes_something_of_its_own() {
+        let of = |(name, change): &Ablation| {
+            let mut config = Config::default();
+            change(&mut config);
+            (*name, config)
+        };
+        let all: Vec<(&str, Config)> = ABLATIONS.iter().map(of).collect();
+        for (i, (name, config)) in all.iter().enumerate() {
+            for (other, before) in &all[..i] {
+                assert!(config != before, "{name} and {other} are the same");
+            }
+        }
+    }
+}
