@@ -96,7 +96,8 @@ impl RunPlan {
     }
 }
 
-fn default_out(root: &Path, capture: &str) -> PathBuf {
+/// Where a run of `capture` is written unless `--out` says otherwise.
+pub fn default_out(root: &Path, capture: &str) -> PathBuf {
     let absolute = Path::new(capture).canonicalize().unwrap_or_else(|_| PathBuf::from(capture));
     let name = absolute.file_name().map_or_else(|| "run".into(), ToOwned::to_owned);
     root.join("out").join(name)

@@ -1,5 +1,6 @@
 //! Developer commands: `cargo xtask --help`.
 
+mod bench;
 mod ci;
 mod ffgs;
 mod fixtures;
@@ -60,6 +61,11 @@ enum Command {
         /// Only these steps, by the names that the table at the end shows.
         #[arg(value_name = "STEP")]
         only: Vec<String>,
+    },
+    /// Time everything on the CPU, beside what the machine can do at best; docs/bench/README.md explains the table.
+    Bench {
+        #[command(flatten)]
+        options: bench::Options,
     },
     #[command(external_subcommand)]
     Ffgs(Vec<String>),
@@ -130,6 +136,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
+        Command::Bench { options } => bench::run(&root, &options)?,
         Command::Ci { only } => ci::run(&root, &only)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -3,6 +3,7 @@
 use crate::projection::{Extent, Splat};
 use crate::sort::radix_sort;
 use ffgs_core::{ImageSize, Mask};
+use std::ops::Range;
 
 /// Side of a square tile in pixels: one 16-lane vector a row.
 pub const TILE: usize = 16;
@@ -34,6 +35,22 @@ impl TileMask {
     /// Number of active tiles.
     pub fn count(&self) -> usize {
         self.active.iter().filter(|&&a| a).count()
+    }
+
+    /// Pixels of the active tiles of an image of this size, as row-major ranges in ascending order.
+    pub fn pixel_runs(&self, size: ImageSize) -> Vec<Range<usize>> {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for y in 0..size.height {
+            for column in (0..self.columns).filter(|c| self.active[y / TILE * self.columns + c]) {
+                let first = y * size.width + column * TILE;
+                let end = y * size.width + (column * TILE + TILE).min(size.width);
+                match runs.last_mut() {
+                    Some(run) if run.end == first => run.end = end,
+                    _ => runs.push(first..end),
+                }
+            }
+        }
+        runs
     }
 
     fn any(&self, span: Span) -> bool {
@@ -233,6 +250,26 @@ fn for_each_tile(
             if mask.is_none_or(|m| m.active[tile]) {
                 visit(tile);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixel_runs_are_the_active_tiles() {
+        let size = ImageSize { width: 40, height: 20 };
+        let mut data = vec![0; size.pixels()];
+        data[3 * 40 + 20] = 1;
+        data[18 * 40 + 35] = 1;
+        let mask = TileMask::covering(&Mask::new(size, data).unwrap());
+        let mut covered = vec![0; size.pixels()];
+        mask.pixel_runs(size).into_iter().flatten().for_each(|p| covered[p] += 1);
+        for (p, &count) in covered.iter().enumerate() {
+            let tile = p / 40 / TILE * 3 + p % 40 / TILE;
+            assert_eq!(count, usize::from(mask.is_active(tile)), "pixel {p}");
         }
     }
 }

@@ -13,6 +13,7 @@ use ffgs_rasterizer::{
     RenderOptions, RenderTape, SplitLayers, TileDepths, TileMask, View,
 };
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// How the dynamic layer is finetuned each frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,6 +74,8 @@ struct CachedView<'a> {
     view: &'a TrainingView,
     region: Mask,
     tiles: TileMask,
+    /// Pixels of `tiles`; nothing else of an image is read or written in a step.
+    runs: Vec<Range<usize>>,
     layers: SplitLayers,
     /// Derivative of the alpha penalty with respect to transmittance, row-major.
     penalty: Vec<f32>,
@@ -131,7 +134,8 @@ fn cache_view<'a>(
         .zip(&layers.transmittance)
         .map(|(&inside, &t)| if inside == 0 { -weight * t } else { 0.0 })
         .collect();
-    CachedView { view, region, tiles, layers, penalty }
+    let runs = tiles.pixel_runs(camera.size());
+    CachedView { view, region, tiles, runs, layers, penalty }
 }
 
 /// Radius (m) around the median position that holds 90 % of the Gaussians: outliers must not set the step size.
@@ -195,14 +199,13 @@ impl<'a> Lane<'a> {
         let background = Background::Image(&layers.behind);
         let frame = View { camera: &cached.view.camera, background, tiles: Some(&cached.tiles) };
         self.rasterizer.render(dynamic, &frame, &mut self.tape);
-        self.compose(layers);
+        self.compose(cached);
         let region = LossRegion::Mask(&cached.region);
         let value = self.loss.evaluate(&self.image, &cached.view.image, region, &mut self.pixel_gradient);
         self.running.add(value.total, value.mse);
-        let pixels = layers.transmittance.len();
-        for (i, g) in self.pixel_gradient.data_mut().iter_mut().enumerate() {
-            *g *= layers.transmittance[i % pixels];
-        }
+        for_each_run(&mut self.pixel_gradient, &cached.runs, |_, run, gradient| {
+            gradient.iter_mut().zip(&layers.transmittance[run]).for_each(|(g, &t)| *g *= t);
+        });
         self.gradients.reset(dynamic.len(), dynamic.sh_degree());
         let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: Some(&cached.penalty) };
         self.rasterizer.backward(dynamic, &frame, &mut self.tape, &upstream, &mut self.gradients);
@@ -211,13 +214,20 @@ impl<'a> Lane<'a> {
     }
 
     /// `front + T_front * (dynamic over behind)`.
-    fn compose(&mut self, layers: &SplitLayers) {
-        self.image.clone_from(&layers.front);
-        let pixels = layers.transmittance.len();
-        let dynamic = self.tape.image().data();
-        for (i, v) in self.image.data_mut().iter_mut().enumerate() {
-            *v += layers.transmittance[i % pixels] * dynamic[i];
+    fn compose(&mut self, cached: &CachedView) {
+        let (layers, size) = (&cached.layers, cached.layers.front.size());
+        if self.image.size() != size {
+            self.image.reset(size);
         }
+        let dynamic = self.tape.image();
+        for_each_run(&mut self.image, &cached.runs, |channel, run, out| {
+            let front = &layers.front.plane(channel)[run.clone()];
+            let dynamic = &dynamic.plane(channel)[run.clone()];
+            let through = &layers.transmittance[run];
+            for (((out, &front), &dynamic), &t) in out.iter_mut().zip(front).zip(dynamic).zip(through) {
+                *out = front + t * dynamic;
+            }
+        });
     }
 
     fn rates(&self, iteration: usize) -> LearningRates {
@@ -229,6 +239,20 @@ impl<'a> Lane<'a> {
             opacities: c.opacity_rate,
             sh0: c.sh0_rate,
             sh_rest: c.sh_rest_rate,
+        }
+    }
+}
+
+/// Calls `visit(channel, run, values)` for every channel of the pixels in `runs`.
+fn for_each_run(
+    image: &mut PlanarImage,
+    runs: &[Range<usize>],
+    mut visit: impl FnMut(usize, Range<usize>, &mut [f32]),
+) {
+    let pixels = image.size().pixels();
+    for (channel, plane) in image.data_mut().chunks_exact_mut(pixels).enumerate() {
+        for run in runs {
+            visit(channel, run.clone(), &mut plane[run.clone()]);
         }
     }
 }

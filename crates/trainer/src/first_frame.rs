@@ -119,6 +119,9 @@ struct Training<'a> {
     background: PlanarImage,
     pixel_gradient: PlanarImage,
     texel_gradient: Vec<[f32; 3]>,
+    texel_flags: Vec<bool>,
+    /// Not used by this method: all zero.
+    radii: Vec<f32>,
 }
 
 impl<'a> Training<'a> {
@@ -140,6 +143,8 @@ impl<'a> Training<'a> {
             sky_adam: AdamVec::new(sky.texels.len(), 3),
             density: DensityControl::new(density, gaussians.len(), seed),
             texel_gradient: vec![[0.0; 3]; sky.texels.len()],
+            texel_flags: vec![false; sky.texels.len()],
+            radii: Vec::new(),
             gaussians,
             sky,
             extent,
@@ -156,7 +161,6 @@ impl<'a> Training<'a> {
         let view = &self.views[index];
         let degree = iteration * 10 / self.config.iterations.max(1);
         let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(degree) });
-        self.background.reset(view.camera.size());
         self.sky.render(&self.sky_views[index], &mut self.background);
         let frame =
             View { camera: &view.camera, background: Background::Image(&self.background), tiles: None };
@@ -180,25 +184,36 @@ impl<'a> Training<'a> {
         };
         let touched = &self.gradients.touched;
         self.adam.step(&mut self.gaussians, &self.gradients.gaussians, &rates, Update::Touched(touched));
-        let size = self.views[index].camera.size();
-        let pixels = size.pixels();
-        for (i, g) in self.pixel_gradient.data_mut().iter_mut().enumerate() {
-            *g *= self.tape.transmittance()[i % pixels];
-        }
-        self.texel_gradient.fill([0.0; 3]);
-        self.sky_views[index].backward(&self.pixel_gradient, &mut self.texel_gradient);
-        let seen: Vec<bool> = self.texel_gradient.iter().map(|t| *t != [0.0; 3]).collect();
-        let texels = self.sky.texels.as_flattened_mut();
-        self.sky_adam.step(texels, self.texel_gradient.as_flattened(), c.sky_rate, Update::Touched(&seen));
+        self.update_sky(index);
         self.observe();
     }
 
+    /// Sparse in the texels that the view sees; the others' gradients and flags stay zero between steps.
+    fn update_sky(&mut self, index: usize) {
+        let view = &self.sky_views[index];
+        let through = self.tape.transmittance();
+        for plane in self.pixel_gradient.data_mut().chunks_exact_mut(through.len()) {
+            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t);
+        }
+        view.backward(&self.pixel_gradient, &mut self.texel_gradient);
+        for &texel in view.texels() {
+            self.texel_flags[texel as usize] = self.texel_gradient[texel as usize] != [0.0; 3];
+        }
+        let texels = self.sky.texels.as_flattened_mut();
+        let gradient = self.texel_gradient.as_flattened();
+        self.sky_adam.step(texels, gradient, self.config.sky_rate, Update::Touched(&self.texel_flags));
+        for &texel in view.texels() {
+            self.texel_gradient[texel as usize] = [0.0; 3];
+            self.texel_flags[texel as usize] = false;
+        }
+    }
+
     fn observe(&mut self) {
-        let radii = vec![0.0; self.gaussians.len()];
+        self.radii.resize(self.gaussians.len(), 0.0);
         self.density.observe(&ViewStatistics {
             gradient_norms: &self.gradients.mean2d_norm,
             visible: &self.gradients.touched,
-            radii: &radii,
+            radii: &self.radii,
         });
     }
 

@@ -1,0 +1,222 @@
+//! `cargo xtask bench`: times everything on the CPU and compares it with what the machine can do at best.
+//!
+//! The floor of a case is its work at the machine's own rate, measured in the same pass by `machine/fma` (vector
+//! multiply-adds) or `machine/copy` (memory traffic): no program that does this work on so many threads is faster.
+
+mod results;
+
+use crate::{ffgs, workspace};
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use results::{Case, Work};
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::SystemTime;
+
+/// What to time.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Options {
+    /// A regular expression; only cases whose names match. The table is printed and not saved then.
+    filter: Option<String>,
+    /// A short pass: fewer and shorter samples.
+    #[arg(long)]
+    quick: bool,
+    /// A finished run whose frames' times are added to the table.
+    #[arg(long, value_name = "DIR")]
+    run: Option<PathBuf>,
+}
+
+/// Where the table of a whole pass is kept.
+const TABLE: &str = "docs/bench/cpu.csv";
+
+/// Runs the benchmarks, prints the table and saves it after a whole pass.
+pub fn run(root: &Path, options: &Options) -> Result<()> {
+    let start = SystemTime::now();
+    measure(root, options)?;
+    let cases = results::read(&workspace::target(root).join("criterion"), start)?;
+    ensure!(!cases.is_empty(), "no case matches");
+    let rates = Rates::of(&cases);
+    let mut rows: Vec<Row> = cases.iter().map(|case| Row::new(case, &rates)).collect();
+    rows.extend(frames(&options.run.clone().unwrap_or_else(|| ffgs::default_out(root, ffgs::SAMPLE))));
+    println!("\n{}", table(&rows));
+    if options.filter.is_none() {
+        let path = root.join(TABLE);
+        std::fs::create_dir_all(path.parent().context("a folder")?)?;
+        std::fs::write(&path, csv(root, options, &rows)).with_context(|| format!("cannot write {TABLE}"))?;
+        println!("saved: {TABLE}");
+    }
+    Ok(())
+}
+
+fn measure(root: &Path, options: &Options) -> Result<()> {
+    let mut command = workspace::cargo(root);
+    command.args(["bench", "-p", "ffgs-trainer", "--bench", "cpu", "--", "--noplot"]);
+    if options.quick {
+        command.args(["--warm-up-time", "0.1", "--measurement-time", "0.3", "--sample-size", "10"]);
+    }
+    if let Some(filter) = &options.filter {
+        command.arg(format!("machine|{filter}"));
+    }
+    command.env("CRITERION_HOME", workspace::target(root).join("criterion"));
+    let status = command.status().context("cannot start cargo")?;
+    ensure!(status.success(), "the benchmarks failed");
+    Ok(())
+}
+
+/// Measured rates on one thread and on two: multiply-adds and bytes a second.
+#[derive(Debug, Default)]
+struct Rates {
+    operations: [Option<f64>; 2],
+    bytes: [Option<f64>; 2],
+}
+
+impl Rates {
+    fn of(cases: &[Case]) -> Self {
+        let rate = |name: &str| cases.iter().find(|c| c.name == name).map(|c| c.work.amount() / c.seconds);
+        let both = |what: &str| [rate(&format!("machine/{what}/1t")), rate(&format!("machine/{what}/2t"))];
+        Self { operations: both("fma"), bytes: both("copy") }
+    }
+}
+
+/// Vector operations that one element costs at least, counted in the source: the blend walk and its visitor for a
+/// contribution, both passes of the loss for a sample. Selects, loads and stores are not counted.
+fn operations(name: &str) -> f64 {
+    const FORWARD: f64 = 25.0;
+    const BACKWARD: f64 = 46.0;
+    const LOSS: f64 = 200.0;
+    match name {
+        n if n.starts_with("machine") => 1.0,
+        n if n.starts_with("loss") => LOSS,
+        n if n.starts_with("raster/forward") => FORWARD,
+        n if n.starts_with("raster/backward") => BACKWARD,
+        _ => FORWARD + BACKWARD,
+    }
+}
+
+/// One line of the table.
+#[derive(Debug, PartialEq)]
+struct Row {
+    name: String,
+    seconds: f64,
+    work: Option<Work>,
+    floor: Option<f64>,
+}
+
+impl Row {
+    fn new(case: &Case, rates: &Rates) -> Self {
+        let threads = usize::from(!case.name.ends_with("/1t"));
+        let floor = match case.work {
+            Work::Elements(n) => rates.operations[threads].map(|rate| n * operations(&case.name) / rate),
+            Work::Bytes(n) => rates.bytes[threads].map(|rate| n / rate),
+        };
+        Self { name: case.name.clone(), seconds: case.seconds, work: Some(case.work), floor }
+    }
+
+    /// Time over floor.
+    fn ratio(&self) -> Option<f64> {
+        self.floor.map(|floor| self.seconds / floor)
+    }
+}
+
+/// Wall clock of frame 0 and means over streamed frames of a finished run, where there is one.
+fn frames(run: &Path) -> Vec<Row> {
+    let Ok(text) = std::fs::read_to_string(run.join("metrics.json")) else { return Vec::new() };
+    let metrics: Value = serde_json::from_str(&text).unwrap_or_default();
+    let all = metrics["frames"].as_array().map_or(&[][..], Vec::as_slice);
+    let Some((first, later)) = all.split_first() else { return Vec::new() };
+    let row =
+        |name: &str, seconds: f64| Row { name: format!("frame/{name}"), seconds, work: None, floor: None };
+    let mut rows: Vec<Row> = first["seconds"]["wall"].as_f64().map(|s| row("first", s)).into_iter().collect();
+    for (name, key) in [("streamed", "wall"), ("streamed/dynamic", "dynamic"), ("streamed/static", "static")]
+    {
+        let seconds: Vec<f64> = later.iter().filter_map(|f| f["seconds"][key].as_f64()).collect();
+        if !seconds.is_empty() {
+            rows.push(row(name, seconds.iter().sum::<f64>() / seconds.len() as f64));
+        }
+    }
+    rows
+}
+
+fn table(rows: &[Row]) -> String {
+    let mut out = format!("{:<34} {:>12} {:>16} {:>12} {:>8}", "case", "time", "work", "floor", "ratio");
+    for row in rows {
+        let time = |seconds: f64| format!("{:.3} ms", seconds * 1e3);
+        let work = row.work.map_or_else(String::new, |w| w.to_string());
+        let ratio = row.ratio().map_or_else(String::new, |r| format!("{r:.1}"));
+        let floor = row.floor.map_or_else(String::new, time);
+        let _ = write!(out, "\n{:<34} {:>12} {work:>16} {floor:>12} {ratio:>8}", row.name, time(row.seconds));
+    }
+    out
+}
+
+fn csv(root: &Path, options: &Options, rows: &[Row]) -> String {
+    let pass = if options.quick { "quick" } else { "whole" };
+    let mut out = format!("# {}; commit {}; {pass} pass\n", machine(), commit(root));
+    out.push_str("name,seconds,work,unit,floor_seconds,ratio\n");
+    for row in rows {
+        let number = |value: Option<f64>| value.map_or_else(String::new, |v| format!("{v:.6e}"));
+        let (amount, unit) = (row.work.map(|w| w.amount()), row.work.map_or("", |w| w.unit()));
+        let ratio = row.ratio().map_or_else(String::new, |r| format!("{r:.2}"));
+        let (amount, floor) = (number(amount), number(row.floor));
+        let _ = writeln!(out, "{},{:.6e},{amount},{unit},{floor},{ratio}", row.name, row.seconds);
+    }
+    out
+}
+
+/// Processor and its threads.
+fn machine() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(": ").nth(1));
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{}, {threads} threads, {}", model.unwrap_or(std::env::consts::ARCH), std::env::consts::OS)
+}
+
+/// Short hash, with a plus where files differ from it.
+fn commit(root: &Path) -> String {
+    let git = |args: &[&str]| Command::new("git").args(args).current_dir(root).output().ok();
+    let text = |output: std::process::Output| String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    let hash = git(&["rev-parse", "--short", "HEAD"]).map(text).unwrap_or_default();
+    let changed = git(&["status", "--porcelain", "--untracked-files=no"]).map(text).unwrap_or_default();
+    if changed.is_empty() { hash } else { hash + "+" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case(name: &str, seconds: f64, work: Work) -> Case {
+        Case { name: name.to_owned(), seconds, work }
+    }
+
+    #[test]
+    fn the_floor_is_the_work_at_the_machines_rate_on_as_many_threads() {
+        let cases = [
+            case("machine/fma/1t", 1.0, Work::Elements(1e9)),
+            case("machine/fma/2t", 1.0, Work::Elements(2e9)),
+            case("machine/copy/2t", 1.0, Work::Bytes(1e8)),
+            case("raster/forward/a/1t", 0.5, Work::Elements(1e7)),
+            case("raster/step/a/2t", 1.0, Work::Elements(1e7)),
+            case("adam/dense", 3.0, Work::Bytes(1e8)),
+        ];
+        let rates = Rates::of(&cases);
+        let ratios: Vec<_> = cases.iter().map(|c| Row::new(c, &rates).ratio()).collect();
+        let expected = [Some(1.0), Some(1.0), Some(1.0), Some(2.0), Some(1.0 / 0.355), Some(3.0)];
+        for (found, expected) in ratios.iter().zip(expected) {
+            assert!((found.unwrap() - expected.unwrap()).abs() < 1e-9, "{ratios:?}");
+        }
+    }
+
+    #[test]
+    fn frames_come_from_the_metrics_of_a_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"{"frames": [{"seconds": {"wall": 40.0}}, {"seconds": {"wall": 3.0, "dynamic": 2.0}},
+            {"seconds": {"wall": 5.0, "dynamic": null}}]}"#;
+        std::fs::write(folder.path().join("metrics.json"), text).unwrap();
+        let rows = frames(folder.path());
+        let found: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.seconds)).collect();
+        assert_eq!(found, [("frame/first", 40.0), ("frame/streamed", 4.0), ("frame/streamed/dynamic", 2.0)]);
+        assert!(frames(&folder.path().join("none")).is_empty());
+    }
+}
