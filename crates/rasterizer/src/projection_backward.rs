@@ -187,6 +187,10 @@ impl WithSimd for DifferentiateChunk<'_> {
                 }
                 local += 1;
             }
+            // Sums first and by themselves: their loads come from anywhere in memory and overlap only in a short loop.
+            for k in 0..count {
+                context.load_sums(&mut input, k, members[k].1);
+            }
             for k in 0..count {
                 let (local, slot) = members[k];
                 colours[k] = context.load(&mut input, k, first + local, slot);
@@ -210,19 +214,17 @@ impl Context<'_> {
     #[inline(always)]
     fn load(&self, input: &mut BlockInput, k: usize, i: usize, slot: usize) -> ColourGradient {
         input.block.load(k, self.gaussians, i, &self.camera);
-        let entries = self.sum_entries(slot);
-        for (column, &value) in input.entries.iter_mut().zip(&entries) {
-            column[k] = value;
-        }
-        let colour = self.colour(i, slot, [entries[6], entries[7], entries[8]]);
+        let e = &input.entries;
+        let colour = self.colour(i, slot, [e[6][k], e[7][k], e[8][k]]);
         for axis in 0..3 {
             input.from_direction[axis][k] = colour.from_direction[axis];
         }
         colour
     }
 
+    /// Sums of a splat's entries over its tiles, in their order, into lane `k`.
     #[inline(always)]
-    fn sum_entries(&self, slot: usize) -> [f32; ENTRY] {
+    fn load_sums(&self, input: &mut BlockInput, k: usize, slot: usize) {
         let lists = &self.tape.lists;
         let (start, end) = (lists.entry_starts[slot] as usize, lists.entry_starts[slot + 1] as usize);
         let mut sum = [0.0; ENTRY];
@@ -232,7 +234,9 @@ impl Context<'_> {
                 sum[n] += values[n];
             }
         }
-        sum
+        for (column, &value) in input.entries.iter_mut().zip(&sum) {
+            column[k] = value;
+        }
     }
 
     /// Through the colour that the splat shows; a channel at the clamp has no derivative.
