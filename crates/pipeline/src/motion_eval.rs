@@ -296,17 +296,15 @@ impl Evaluation {
     }
 }
 
-/// The capture's initial points as opaque Gaussians: foreground and background.
+/// The capture's initial foreground points as opaque Gaussians, and nothing around them: gross errors among the
+/// background points would hide what moves.
 fn initial_points(capture: &Capture) -> Result<(Gaussians, Gaussians)> {
     /// The points lie on the surfaces, so that nothing shines through them.
     const OPACITY: f32 = 0.9;
-    /// Times the distance between points, so that splats overlap as trained ones do.
-    const WIDER: f32 = 3.0;
     let points = capture.initial_points()?;
-    let mut all = from_points(&points.positions, &points.colours, 0, OPACITY);
-    all.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += WIDER.ln());
-    let of = |moving: bool| (0..all.len()).filter(|&i| points.foreground[i] == moving).collect::<Vec<_>>();
-    Ok((all.select(&of(true)), all.select(&of(false))))
+    let all = from_points(&points.positions, &points.colours, 0, OPACITY);
+    let moving: Vec<usize> = (0..all.len()).filter(|&i| points.foreground[i]).collect();
+    Ok((all.select(&moving), all.select(&[])))
 }
 
 /// Moves Gaussian `i` rigidly.
