@@ -80,9 +80,12 @@ pub fn local_rigid_motion(
     let tree = tree(&centres)?;
     let predictions: Vec<Prediction> = (0..previous.len())
         .into_par_iter()
-        .map(|i| match wanted[i] {
-            true => cloud.predict(i, &seeds, &tree, config),
-            false => Prediction { place: previous[i], variance: 1.0, rotation: DQuat::IDENTITY },
+        .map(|i| {
+            if wanted[i] {
+                cloud.predict(i, &seeds, &tree, config)
+            } else {
+                Prediction { place: previous[i], variance: 1.0, rotation: DQuat::IDENTITY }
+            }
         })
         .collect();
     let inflation = cloud.inflation(&predictions, wanted);

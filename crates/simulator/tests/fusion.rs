@@ -101,12 +101,12 @@ fn bad_input_gives_finite_posteriors() {
     let wrong = with(&|_, target, _| *target += DVec2::new(15.0, 0.0));
     let nan = with(&|entry, target, _| {
         if entry % 3 == 0 {
-            *target = DVec2::NAN
+            *target = DVec2::NAN;
         }
     });
     let one_view = with(&|entry, _, weight| {
         if entry / n != 3 {
-            *weight = 0.0
+            *weight = 0.0;
         }
     });
     let nothing = with(&|_, _, weight| *weight = 0.0);
