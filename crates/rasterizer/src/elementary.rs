@@ -3,11 +3,11 @@
 /// `exp(x)` to a relative error below 1.2e-7; NaN for NaN. `x` is limited to -87..=88, where the result is a normal number.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
+    /// 1.5 * 2^23: a sum with it has the nearest integer in its low bits.
+    const ROUND: f32 = 12_582_912.0;
     // Comparisons, not `clamp`: NaN must come through.
     let x = if x < -87.0 { -87.0 } else { x };
     let x = if x > 88.0 { 88.0 } else { x };
-    // Adding 1.5 * 2^23 leaves the nearest integer in the low bits.
-    const ROUND: f32 = 12_582_912.0;
     let shifted = x * std::f32::consts::LOG2_E + ROUND;
     let n = shifted - ROUND;
     // ln 2 in two parts: n times the first is exact (Cody and Waite 1980).

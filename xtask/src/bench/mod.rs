@@ -157,7 +157,7 @@ fn csv(root: &Path, options: &Options, rows: &[Row]) -> String {
     out.push_str("name,seconds,work,unit,floor_seconds,ratio\n");
     for row in rows {
         let number = |value: Option<f64>| value.map_or_else(String::new, |v| format!("{v:.6e}"));
-        let (amount, unit) = (row.work.map(|w| w.amount()), row.work.map_or("", |w| w.unit()));
+        let (amount, unit) = (row.work.map(Work::amount), row.work.map_or("", Work::unit));
         let ratio = row.ratio().map_or_else(String::new, |r| format!("{r:.2}"));
         let (amount, floor) = (number(amount), number(row.floor));
         let _ = writeln!(out, "{},{:.6e},{amount},{unit},{floor},{ratio}", row.name, row.seconds);

@@ -98,7 +98,7 @@ mod tests {
         std::fs::write(folder.join("estimates.json"), r#"{"median": {"point_estimate": 2e6}}"#).unwrap();
         let expected = Case { name: "group/name".into(), seconds: 2e-3, work: Work::Bytes(300.0) };
         assert_eq!(read(root.path(), SystemTime::UNIX_EPOCH).unwrap(), [expected]);
-        let later = SystemTime::now() + std::time::Duration::from_secs(60);
+        let later = SystemTime::now() + std::time::Duration::from_mins(1);
         assert!(read(root.path(), later).unwrap().is_empty());
     }
 }
