@@ -10,6 +10,7 @@ pub mod eval;
 mod frame;
 mod lanes;
 mod manifest;
+mod memory;
 mod motion;
 mod motion_ablation;
 pub mod motion_eval;

@@ -34,6 +34,9 @@ pub struct FrameRecord {
     pub dynamic_gaussians: usize,
     /// Bytes of the frame's splat files.
     pub bytes: u64,
+    /// Most memory that the program had held when the frame was done (MiB); absent where the system does not say.
+    #[serde(default)]
+    pub peak_memory_mib: Option<f64>,
     /// Seconds a stage.
     pub seconds: StageSeconds,
     /// Counted skips.
@@ -142,7 +145,7 @@ pub fn publish(
     folder: &RunFolder,
     title: &str,
     configuration: String,
-    facts: Vec<Fact>,
+    mut facts: Vec<Fact>,
     frames: Vec<FrameRecord>,
     ground_truth: impl Fn(&str, usize) -> PathBuf,
 ) -> Result<Metrics> {
@@ -151,6 +154,9 @@ pub fn publish(
     let mut skips = BTreeMap::<String, u64>::new();
     for (what, count) in metrics.frames.iter().flat_map(|f| &f.skips) {
         *skips.entry(what.clone()).or_default() += count;
+    }
+    if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
+        facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
     }
     let input = ReportInput {
         title: title.into(),

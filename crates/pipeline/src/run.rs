@@ -305,6 +305,7 @@ impl<'a> Job<'a> {
         record.static_gaussians = layers.static_layer.len();
         record.dynamic_gaussians = layers.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
+        record.peak_memory_mib = crate::memory::peak_mib();
         record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
         state::save(&self.folder.state(frame), frame, &layers)?;
