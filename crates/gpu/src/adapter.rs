@@ -1,5 +1,6 @@
 use crate::GpuError;
 use std::fmt;
+use std::path::Path;
 
 /// One adapter of this machine, and what it would be used as.
 #[derive(Clone, Debug)]
@@ -67,13 +68,23 @@ pub(crate) fn all(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
     pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
 }
 
+/// One of these is there on Linux when a kernel driver serves a GPU: any DRM driver, NVIDIA's own, Windows' subsystem,
+/// Qualcomm's and Arm's.
+const GPU_DEVICE_FILES: [&str; 5] = ["/dev/dri", "/dev/nvidiactl", "/dev/dxg", "/dev/kgsl-3d0", "/dev/mali0"];
+
 /// Every adapter, in the order of `gpu:N`.
 pub fn adapters() -> Vec<AdapterReport> {
     all(&instance()).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
 }
 
 /// The adapter that `--device auto` takes; `None` where only the CPU or software Vulkan is at hand.
+///
+/// On Linux without a device file of any GPU no driver is asked: software Vulkan alone takes a moment to load and writes
+/// to the error stream.
 pub fn hardware_adapter() -> Option<usize> {
+    if cfg!(target_os = "linux") && !GPU_DEVICE_FILES.iter().any(|file| Path::new(file).exists()) {
+        return None;
+    }
     best(&adapters()).filter(|report| !report.software).map(|report| report.index)
 }
 
