@@ -37,6 +37,10 @@ const STEPS: [Step; 10] = [
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
 
+/// PSNR (dB) of the short run must exceed this: each view painted in its own mean colour has 13.8 dB
+/// in frame 1, the run 16.5.
+const LEAST_PSNR: f64 = 15.0;
+
 /// Runs the steps in order, or only the named ones; stops at the first failure and closes with the test count.
 pub fn run(root: &Path, only: &[String]) -> Result<()> {
     let steps = chosen(only)?;
@@ -155,6 +159,11 @@ fn check_metrics(metrics: &Value) -> Result<()> {
             "metrics.json: mean.{key} is {value}, not a number"
         );
     }
+    let psnr = metrics["mean"]["psnr"].as_f64().unwrap_or_default();
+    ensure!(
+        psnr > LEAST_PSNR,
+        "metrics.json: mean.psnr is {psnr:.1} dB: the pictures are not of the capture"
+    );
     Ok(())
 }
 
@@ -245,6 +254,9 @@ mod tests {
         assert!(check_metrics(&metrics).is_ok());
         metrics["mean"]["mpsnr"] = Value::Null;
         assert!(check_metrics(&metrics).unwrap_err().to_string().contains("mpsnr"));
+        metrics["mean"]["mpsnr"] = json!(18.0);
+        metrics["mean"]["psnr"] = json!(13.8);
+        assert!(check_metrics(&metrics).unwrap_err().to_string().contains("13.8"));
         assert!(check_metrics(&json!({})).is_err());
     }
 

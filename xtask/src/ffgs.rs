@@ -9,7 +9,7 @@ use std::process::{Command, ExitCode, ExitStatus};
 pub const SAMPLE: &str = "fixtures/scenes/fairmont-mini";
 
 /// Commands of the program that `cargo xtask` hands on.
-const COMMANDS: [&str; 7] = ["run", "check", "stage", "render", "eval", "config", "motion-eval"];
+const COMMANDS: [&str; 8] = ["run", "check", "stage", "render", "eval", "config", "motion-eval", "devices"];
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
 pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {

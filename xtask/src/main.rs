@@ -2,6 +2,7 @@
 
 mod bench;
 mod ci;
+mod compare;
 mod ffgs;
 mod fixtures;
 mod monaco;
@@ -29,6 +30,7 @@ Every command of the program itself passes through, with the program built in re
   cargo xtask eval RUN
   cargo xtask config                            the default configuration, with comments
   cargo xtask motion-eval --help
+  cargo xtask devices                           the GPUs, and which one a run takes
   cargo xtask COMMAND --help                    the options of one of them";
 
 #[derive(Subcommand)]
@@ -61,6 +63,11 @@ enum Command {
         /// Only these steps, by the names that the table at the end shows.
         #[arg(value_name = "STEP")]
         only: Vec<String>,
+    },
+    /// Run a capture with all trackers fused, with none and with each alone, and print the table of the README.
+    Compare {
+        #[command(flatten)]
+        options: compare::Options,
     },
     /// Time everything on the CPU, beside what the machine can do at best; docs/bench/README.md explains the table.
     Bench {
@@ -136,6 +143,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
+        Command::Compare { options } => compare::run(&root, &options)?,
         Command::Bench { options } => bench::run(&root, &options)?,
         Command::Ci { only } => ci::run(&root, &only)?,
     }
