@@ -33,14 +33,7 @@ pub fn train_static(
         return Ok(());
     }
     let mut lane = Lane::new(gpu, config, views, sky, layer)?;
-    let rates = LearningRates {
-        means: 0.0,
-        quats: 0.0,
-        scales: 0.0,
-        opacities: 0.0,
-        sh0: config.sh0_rate,
-        sh_rest: config.sh_rest_rate,
-    };
+    let rates = config.static_rates();
     lane.sky.prepare(gpu, 0.0, 1.0);
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     for iteration in 0..config.static_iterations {

@@ -10,7 +10,7 @@ use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TileMask};
 use ffgs_rasterizer_gpu::{GpuScene, backward, deal, prepare, render, render_split, tile_depths};
 use ffgs_trainer::{
-    DynamicLaneConfig, Epochs, LearningRates, Progress, Surroundings, TILE_DILATION, TrainingView, decay,
+    DynamicLaneConfig, Epochs, Progress, Surroundings, TILE_DILATION, TrainingView,
     robust_extent,
 };
 
@@ -143,24 +143,12 @@ impl Lane<'_> {
         let Workspace { gpu, scratch, .. } = &self.workspace;
         let (scene, view, stamp) = (&optimiser.scene, &target.view, iteration as u32 + 1);
         prepare(gpu, scene, view, scratch, OPTIONS, stamp);
-        optimiser.prepare(&self.rates(iteration), stamp);
+        optimiser.prepare(&self.config.rates(iteration, self.extent), stamp);
         let mut commands = gpu.commands();
         render(&mut commands, scene, view, scratch);
         self.workspace.loss(&mut commands, target);
         backward(&mut commands, scene, view, scratch, &optimiser.gradients);
         optimiser.step(&mut commands);
         gpu.submit(commands)
-    }
-
-    fn rates(&self, iteration: usize) -> LearningRates {
-        let c = self.config;
-        LearningRates {
-            means: decay(c.position_rate, c.position_rate_end, iteration, c.iterations) * self.extent,
-            quats: c.quat_rate,
-            scales: c.scale_rate,
-            opacities: c.opacity_rate,
-            sh0: c.sh0_rate,
-            sh_rest: c.sh_rest_rate,
-        }
     }
 }

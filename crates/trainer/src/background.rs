@@ -2,7 +2,7 @@
 //! they need nothing from the dynamic lane of the same frame.
 
 use crate::view::TrainingView;
-use crate::{SkyCube, SkyView};
+use crate::{LearningRates, SkyCube, SkyView};
 use ffgs_core::{Mask, PlanarImage};
 use serde::{Deserialize, Serialize};
 
@@ -69,6 +69,18 @@ impl Default for BackgroundConfig {
 }
 
 impl BackgroundConfig {
+    /// Step sizes of the method `steps`: colours only.
+    pub fn static_rates(&self) -> LearningRates {
+        LearningRates {
+            means: 0.0,
+            quats: 0.0,
+            scales: 0.0,
+            opacities: 0.0,
+            sh0: self.sh0_rate,
+            sh_rest: self.sh_rest_rate,
+        }
+    }
+
     /// Iterations of the chosen method.
     pub fn static_passes(&self) -> usize {
         match self.static_method {

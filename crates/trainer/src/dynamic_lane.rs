@@ -58,6 +58,20 @@ impl Default for DynamicLaneConfig {
     }
 }
 
+impl DynamicLaneConfig {
+    /// Step sizes at a step, for a layer of radius `extent` (m).
+    pub fn rates(&self, iteration: usize, extent: f32) -> LearningRates {
+        LearningRates {
+            means: decay(self.position_rate, self.position_rate_end, iteration, self.iterations) * extent,
+            quats: self.quat_rate,
+            scales: self.scale_rate,
+            opacities: self.opacity_rate,
+            sh0: self.sh0_rate,
+            sh_rest: self.sh_rest_rate,
+        }
+    }
+}
+
 /// What stays fixed while the dynamic layer is trained.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings<'a> {
@@ -210,7 +224,12 @@ impl<'a> Lane<'a> {
         let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: Some(&cached.penalty) };
         self.rasterizer.backward(dynamic, &frame, &mut self.tape, &upstream, &mut self.gradients);
         let touched = Update::Touched(&self.gradients.touched);
-        self.adam.step(dynamic, &self.gradients.gaussians, &self.rates(iteration), touched);
+        self.adam.step(
+            dynamic,
+            &self.gradients.gaussians,
+            &self.config.rates(iteration, self.extent),
+            touched,
+        );
     }
 
     /// `front + T_front * (dynamic over behind)`.
@@ -228,18 +247,6 @@ impl<'a> Lane<'a> {
                 *out = front + t * dynamic;
             }
         });
-    }
-
-    fn rates(&self, iteration: usize) -> LearningRates {
-        let c = self.config;
-        LearningRates {
-            means: decay(c.position_rate, c.position_rate_end, iteration, c.iterations) * self.extent,
-            quats: c.quat_rate,
-            scales: c.scale_rate,
-            opacities: c.opacity_rate,
-            sh0: c.sh0_rate,
-            sh_rest: c.sh_rest_rate,
-        }
     }
 }
 

@@ -1,22 +1,31 @@
 //! Cases from an independent float64 implementation (fixtures/reference).
 
-mod npz;
 mod yardstick;
 
+use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, EstimateStatus, ImageSize, Intrinsics, Observations};
 use ffgs_triangulation::TriangulationConfig;
 use glam::{DMat4, DVec2, DVec3};
-use npz::Case;
+use std::path::Path;
 use yardstick::{Problem, judge, run};
+
+fn open_case(stage: &str, name: &str) -> NpzFile {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/reference");
+    NpzFile::open(&Path::new(root).join(stage).join(format!("{name}.npz"))).unwrap()
+}
+
+fn array(case: &NpzFile, key: &str) -> Vec<f64> {
+    case.f64(key).unwrap().data
+}
 
 fn points(values: &[f64]) -> Vec<DVec3> {
     values.as_chunks::<3>().0.iter().map(|&p| DVec3::from(p)).collect()
 }
 
 fn problem(name: &str) -> Problem {
-    let mut case = Case::open("triangulate", name);
-    let poses = case.array("camera_from_world");
-    let intrinsics = case.array("intrinsics");
+    let case = open_case("triangulate", name);
+    let poses = array(&case, "camera_from_world");
+    let intrinsics = array(&case, "intrinsics");
     let size = ImageSize { width: 640, height: 360 };
     let cameras: Vec<Camera> = (poses.as_chunks::<16>().0.iter().zip(intrinsics.as_chunks::<4>().0))
         .map(|(pose, &[fx, fy, cx, cy])| {
@@ -24,17 +33,17 @@ fn problem(name: &str) -> Problem {
             Camera::new(Intrinsics { fx, fy, cx, cy }, pose, size).unwrap()
         })
         .collect();
-    let previous = points(&case.array("means"));
-    let targets = case.array("targets").as_chunks::<2>().0.iter().map(|&p| DVec2::from(p)).collect();
-    let weights = case.array("weights");
+    let previous = points(&array(&case, "means"));
+    let targets = array(&case, "targets").as_chunks::<2>().0.iter().map(|&p| DVec2::from(p)).collect();
+    let weights = array(&case, "weights");
     let (views, gaussians) = (cameras.len(), previous.len());
     let observations = Observations { views, gaussians, targets, weights };
     Problem {
         previous,
-        truth: points(&case.array("truth")),
+        truth: points(&array(&case, "truth")),
         cameras,
         observations,
-        noise: case.scalar("noise_px"),
+        noise: array(&case, "noise_px")[0],
     }
 }
 

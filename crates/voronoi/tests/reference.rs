@@ -1,10 +1,18 @@
 //! Cases from an independent float64 implementation (fixtures/reference).
 
-mod npz;
-
+use ffgs_arrays::NpzFile;
 use ffgs_core::{DenseMotion, ImageSize};
 use ffgs_voronoi::{AgreementConfig, GaussianKnn, IntegerCentredTracks, MotionInterpolator, agreement};
-use npz::Case;
+use std::path::Path;
+
+fn open_case(stage: &str, name: &str) -> NpzFile {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/reference");
+    NpzFile::open(&Path::new(root).join(stage).join(format!("{name}.npz"))).unwrap()
+}
+
+fn array(case: &NpzFile, key: &str) -> Vec<f64> {
+    case.f64(key).unwrap().data
+}
 
 fn pairs(values: &[f64]) -> Vec<[f64; 2]> {
     values.as_chunks().0.to_vec()
@@ -18,20 +26,20 @@ fn largest_difference(found: &[f32], expected: &[f64]) -> f64 {
 #[test]
 fn gaussian_knn_matches_algorithm_2() {
     for name in ["dense", "far_underflow", "few_tracks", "one_track", "typical"] {
-        let mut case = Case::open("voronoi", name);
+        let case = open_case("voronoi", name);
         let tracks = IntegerCentredTracks {
-            src: pairs(&case.array("src")),
-            tgt: pairs(&case.array("tgt")),
-            visibility: case.array("visibility"),
+            src: pairs(&array(&case, "src")),
+            tgt: pairs(&array(&case, "tgt")),
+            visibility: array(&case, "visibility"),
         };
-        let size = case.array("size");
+        let size = array(&case, "size");
         let size = ImageSize { width: size[1] as usize, height: size[0] as usize };
-        let knn = GaussianKnn { k: case.scalar("k") as usize, sigma: case.scalar("sigma") };
+        let knn = GaussianKnn { k: array(&case, "k")[0] as usize, sigma: array(&case, "sigma")[0] };
         let mut out = DenseMotion::unknown(size);
         knn.densify_integer_centred(&tracks, size, None, &mut out).unwrap();
-        let flow = largest_difference(out.flow.as_flattened(), &case.array("expected_flow"));
-        let visibility = largest_difference(&out.visibility, &case.array("expected_visibility"));
-        let confidence = largest_difference(&out.confidence, &case.array("expected_confidence"));
+        let flow = largest_difference(out.flow.as_flattened(), &array(&case, "expected_flow"));
+        let visibility = largest_difference(&out.visibility, &array(&case, "expected_visibility"));
+        let confidence = largest_difference(&out.confidence, &array(&case, "expected_confidence"));
         println!("{name}: flow {flow:.1e} px, visibility {visibility:.1e}, confidence {confidence:.1e}");
         assert!(flow < 1e-5 && visibility < 1e-6 && confidence < 1e-6, "{name}");
     }
@@ -40,8 +48,8 @@ fn gaussian_knn_matches_algorithm_2() {
 #[test]
 fn agreement_matches_algorithm_1() {
     for name in ["one", "two", "three"] {
-        let mut case = Case::open("agreement", name);
-        let (flow, confidence) = (case.array("flow"), case.array("confidence"));
+        let case = open_case("agreement", name);
+        let (flow, confidence) = (array(&case, "flow"), array(&case, "confidence"));
         let size = ImageSize { width: 50, height: 30 };
         let n = size.pixels();
         let mut flows: Vec<DenseMotion> = (confidence.chunks(n).zip(flow.chunks(2 * n)))
@@ -52,11 +60,11 @@ fn agreement_matches_algorithm_1() {
                 confidence: c.iter().map(|&v| v as f32).collect(),
             })
             .collect();
-        let floor = case.scalar("magnitude_floor") as f32;
+        let floor = array(&case, "magnitude_floor")[0] as f32;
         let config = AgreementConfig { magnitude_floor_px: floor, ..AgreementConfig::default() };
         agreement(&mut flows, &config).unwrap();
         let found: Vec<f32> = flows.iter().flat_map(|f| f.confidence.clone()).collect();
-        let error = largest_difference(&found, &case.array("expected_confidence"));
+        let error = largest_difference(&found, &array(&case, "expected_confidence"));
         assert!(error < 1e-6, "{name}: {error:.1e}");
     }
 }

@@ -3,7 +3,7 @@
 use crate::background::{BackgroundConfig, outside, render_sky};
 use crate::schedule::Epochs;
 use crate::view::{Progress, Running, TrainingView};
-use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, SkyCube, Update};
+use crate::{Adam, LossRegion, PhotometricLoss, SkyCube, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
@@ -21,14 +21,7 @@ pub(super) fn train(
 ) {
     let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
     let regions: Vec<Mask> = views.iter().map(|v| outside(v, config.mask_dilation)).collect();
-    let rates = LearningRates {
-        means: 0.0,
-        quats: 0.0,
-        scales: 0.0,
-        opacities: 0.0,
-        sh0: config.sh0_rate,
-        sh_rest: config.sh_rest_rate,
-    };
+    let rates = config.static_rates();
     let (mut tape, mut loss, mut gradients) =
         (RenderTape::default(), PhotometricLoss::new(), Gradients::default());
     let mut pixel_gradient = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
