@@ -10,7 +10,8 @@ const TOP: f64 = 14.0;
 const BOTTOM: f64 = 44.0;
 const TICKS: usize = 5;
 /// Told apart by colour-blind readers too (Okabe and Ito).
-const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666"];
+const COLOURS: [&str; 8] =
+    ["#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666"];
 
 pub struct Series {
     pub name: String,

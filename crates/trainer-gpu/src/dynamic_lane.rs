@@ -10,8 +10,7 @@ use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TileMask};
 use ffgs_rasterizer_gpu::{GpuScene, backward, deal, prepare, render, render_split, tile_depths};
 use ffgs_trainer::{
-    DynamicLaneConfig, Epochs, Progress, Surroundings, TILE_DILATION, TrainingView,
-    robust_extent,
+    DynamicLaneConfig, Epochs, Progress, Surroundings, TILE_DILATION, TrainingView, robust_extent,
 };
 
 const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None };
