@@ -1,0 +1,18 @@
+//! Lines 41 and 42.
+
+use super::{Dynamic, MotionInput, MotionOutcome, add_seconds, pixel_sizes, positions};
+use ffgs_fusion::{DensifyConfig, apply_densification, plan_densification};
+use std::time::Instant;
+
+/// Splits or clones what is uncertain.
+pub(super) fn densify(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut MotionOutcome) {
+    let start = Instant::now();
+    let config: &DensifyConfig = &input.config.densification;
+    let pixel_m = pixel_sizes(&positions(&dynamic.gaussians), input.now);
+    let plan = plan_densification(&dynamic.gaussians, &dynamic.covariances, &pixel_m, config);
+    let seed = input.config.seed ^ (input.frame as u64) << 32;
+    apply_densification(&mut dynamic.gaussians, &mut dynamic.covariances, &plan, seed);
+    dynamic.steps.extend(plan.iter().map(|p| dynamic.steps[p.0]).collect::<Vec<_>>());
+    outcome.previous.extend(plan.iter().map(|p| outcome.previous[p.0]).collect::<Vec<_>>());
+    add_seconds(&mut outcome.seconds.fusion, start);
+}

@@ -1,0 +1,101 @@
+//! Motion initialisation of one frame: Algorithm 1, lines 3 to 42, a file for each stage.
+
+mod densify;
+mod fields;
+mod fuse;
+mod observe;
+mod triangulate;
+mod validate;
+
+pub use fuse::{fuse, pixel_sizes};
+pub use observe::observe;
+pub use triangulate::triangulate;
+
+use crate::cli::Init;
+use crate::config::Config;
+use crate::frame::TrainViews;
+use anyhow::Result;
+use ffgs_core::Gaussians;
+use ffgs_report::StageSeconds;
+use ffgs_tracks::TrackStore;
+use ffgs_trainer::TrainingView;
+use glam::{DMat3, DVec3};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// The moving layer and how sure its positions are.
+#[derive(Clone, Debug, Default)]
+pub struct Dynamic {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// Position covariances (m^2).
+    pub covariances: Vec<DMat3>,
+    /// Process noise of the last fused frame (m).
+    pub q: f64,
+    /// Steps of the last initialisation (m); empty before the first.
+    pub steps: Vec<DVec3>,
+}
+
+/// What a frame's initialisation needs besides the layer itself.
+pub struct MotionInput<'a> {
+    /// Configuration.
+    pub config: &'a Config,
+    /// Trackers.
+    pub init: &'a Init,
+    /// Track files; `None` when the capture has none.
+    pub tracks: Option<&'a TrackStore>,
+    /// Views used.
+    pub views: &'a TrainViews,
+    /// Training views at t - 1.
+    pub before: &'a [TrainingView],
+    /// Training views at t.
+    pub now: &'a [TrainingView],
+    /// t.
+    pub frame: usize,
+    /// The static layer, which hides parts of the dynamic one.
+    pub static_layer: &'a Gaussians,
+}
+
+/// Counts and pictures' data of one frame's initialisation.
+#[derive(Clone, Debug, Default)]
+pub struct MotionOutcome {
+    /// Seconds a stage.
+    pub seconds: StageSeconds,
+    /// Counted skips: what, how often.
+    pub skips: BTreeMap<String, u64>,
+    /// Warnings.
+    pub warnings: Vec<String>,
+    /// Positions at t - 1 of the Gaussians that are left (m).
+    pub previous: Vec<DVec3>,
+}
+
+impl MotionOutcome {
+    fn skip(&mut self, what: String, count: usize) {
+        if count > 0 {
+            *self.skips.entry(what).or_default() += count as u64;
+        }
+    }
+}
+
+fn add_seconds(total: &mut Option<f64>, since: Instant) {
+    *total = Some(total.unwrap_or(0.0) + since.elapsed().as_secs_f64());
+}
+
+/// Positions in f64.
+pub fn positions(gaussians: &Gaussians) -> Vec<DVec3> {
+    gaussians.means.iter().map(|m| DVec3::from_array(m.map(f64::from))).collect()
+}
+
+/// Moves `dynamic` from t - 1 to t, removes what left the masks, and splits where the position is uncertain.
+pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOutcome> {
+    let mut outcome = MotionOutcome { previous: positions(&dynamic.gaussians), ..MotionOutcome::default() };
+    if *input.init == Init::None || dynamic.gaussians.is_empty() {
+        return Ok(outcome);
+    }
+    let observations = observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?;
+    let estimates = triangulate(input, &observations, &mut outcome)?;
+    fuse(input, &estimates, dynamic, &mut outcome)?;
+    validate::validate_positions(input, dynamic, &mut outcome)?;
+    densify::densify(input, dynamic, &mut outcome);
+    Ok(outcome)
+}
