@@ -32,7 +32,7 @@
 
 mod config;
 mod normal;
-mod rays;
+mod passes;
 mod robust;
 mod solve;
 mod views;

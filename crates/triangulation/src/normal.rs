@@ -3,77 +3,93 @@ use glam::{DMat3, DVec3};
 /// A symmetric 3x3 normal system `A x = b`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Normal {
-    pub a: DMat3Zero,
-    pub b: DVec3,
-}
-
-/// A [`DMat3`] whose default is zero, not the identity.
-#[derive(Clone, Copy, Debug)]
-pub struct DMat3Zero(pub DMat3);
-
-impl Default for DMat3Zero {
-    fn default() -> Self {
-        Self(DMat3::ZERO)
-    }
-}
-
-impl Normal {
-    pub fn add(&mut self, a: DMat3, b: DVec3) {
-        self.a.0 += a;
-        self.b += b;
-    }
-
-    pub fn solve(&self) -> Option<DVec3> {
-        inverse(&self.a.0).map(|inverse| inverse * self.b)
-    }
-}
-
-/// `v v^T`.
-pub fn outer(v: DVec3) -> DMat3 {
-    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+    /// `A`: xx, xy, xz, yy, yz, zz.
+    pub a: [f64; 6],
+    pub b: [f64; 3],
 }
 
 /// Pivots below this fraction of the diagonal are rounding, not information.
 const PIVOT: f64 = 1e-13;
 
-/// Inverse of a symmetric positive definite matrix by Cholesky; `None` when it is not, to working precision.
-pub fn inverse(m: &DMat3) -> Option<DMat3> {
-    // Scaled to a unit diagonal: units and weights do not decide what counts as singular.
-    let d = DVec3::new(m.x_axis.x, m.y_axis.y, m.z_axis.z);
-    if !(d.min_element() > 0.0 && d.is_finite()) {
-        return None;
+/// `A = L D L^T` with a unit diagonal in L.
+struct Factors {
+    below: [f64; 3],
+    inverse: [f64; 3],
+}
+
+impl Normal {
+    /// `A x = b`; `None` when A is not positive definite to working precision.
+    pub fn solve(&self) -> Option<DVec3> {
+        Some(self.factors()?.solve(DVec3::from(self.b)))
     }
-    let s = DVec3::new(d.x.sqrt(), d.y.sqrt(), d.z.sqrt()).recip();
-    let (l10, l20) = (m.x_axis.y * s.x * s.y, m.x_axis.z * s.x * s.z);
-    let p1 = 1.0 - l10 * l10;
-    if !(p1 > PIVOT) {
-        return None;
+
+    /// `A^-1`, as [`Normal::solve`].
+    pub fn inverse(&self) -> Option<DMat3> {
+        let factors = self.factors()?;
+        Some(DMat3::from_cols(factors.solve(DVec3::X), factors.solve(DVec3::Y), factors.solve(DVec3::Z)))
     }
-    let l11 = p1.sqrt();
-    let l21 = (m.y_axis.z * s.y * s.z - l20 * l10) / l11;
-    let p2 = 1.0 - l20 * l20 - l21 * l21;
-    if !(p2 > PIVOT) {
-        return None;
+
+    /// The same system with the diagonal grown by a share of itself.
+    pub fn damped(mut self, damping: f64) -> Self {
+        for k in [0, 3, 5] {
+            self.a[k] *= 1.0 + damping;
+        }
+        self
     }
-    let l22 = p2.sqrt();
-    // Rows of L^-1, then A^-1 = L^-T L^-1, unscaled.
-    let r1 = DVec3::new(-l10 / l11, 1.0 / l11, 0.0);
-    let r2 = DVec3::new(-(l20 + l21 * r1.x) / l22, -l21 * r1.y / l22, 1.0 / l22);
-    let inverse = outer(DVec3::X) + outer(r1) + outer(r2);
-    Some(DMat3::from_cols(inverse.x_axis * s * s.x, inverse.y_axis * s * s.y, inverse.z_axis * s * s.z))
+
+    /// Pivots are compared with their diagonal entries: units and weights do not decide what counts as singular.
+    fn factors(&self) -> Option<Factors> {
+        let [xx, xy, xz, yy, yz, zz] = self.a;
+        if !(xx > 0.0 && yy > 0.0 && zz > 0.0 && xx + yy + zz < f64::INFINITY) {
+            return None;
+        }
+        let inverse_x = 1.0 / xx;
+        let (yx, zx) = (xy * inverse_x, xz * inverse_x);
+        let y = yy - yx * xy;
+        if !(y > PIVOT * yy) {
+            return None;
+        }
+        let inverse_y = 1.0 / y;
+        let rest = yz - zx * xy;
+        let zy = rest * inverse_y;
+        let z = zz - zx * xz - zy * rest;
+        (z > PIVOT * zz).then(|| Factors { below: [yx, zx, zy], inverse: [inverse_x, inverse_y, 1.0 / z] })
+    }
+}
+
+impl Factors {
+    fn solve(&self, b: DVec3) -> DVec3 {
+        let [yx, zx, zy] = self.below;
+        let y = b.y - yx * b.x;
+        let z = (b.z - zx * b.x - zy * y) * self.inverse[2];
+        let y = y * self.inverse[1] - zy * z;
+        DVec3::new(b.x * self.inverse[0] - yx * y - zx * z, y, z)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn sum_of_outer_products(vectors: &[DVec3]) -> Normal {
+        let mut normal = Normal::default();
+        for v in vectors {
+            let products = [v.x * v.x, v.x * v.y, v.x * v.z, v.y * v.y, v.y * v.z, v.z * v.z];
+            normal.a.iter_mut().zip(products).for_each(|(a, p)| *a += p);
+        }
+        normal
+    }
+
     #[test]
     fn the_inverse_is_an_inverse_or_refused() {
         let vectors = [DVec3::new(1.0, 2.0, -0.5), DVec3::new(0.1, -1.0, 0.3), DVec3::new(4.0, 0.2, 0.7)];
-        let m: DMat3 = vectors.iter().fold(DMat3::ZERO, |m, &v| m + outer(v));
-        let error = m * inverse(&m).unwrap() - DMat3::IDENTITY;
+        let normal = Normal { b: [1.0, -2.0, 3.0], ..sum_of_outer_products(&vectors) };
+        let [xx, xy, xz, yy, yz, zz] = normal.a;
+        let m = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        let error = m * normal.inverse().unwrap() - DMat3::IDENTITY;
         assert!(error.to_cols_array().iter().all(|v| v.abs() < 1e-12));
-        assert!(inverse(&(outer(vectors[0]) + outer(vectors[1]))).is_none());
-        assert!(inverse(&DMat3::from_diagonal(DVec3::NAN)).is_none());
+        assert!((m * normal.solve().unwrap() - DVec3::from(normal.b)).length() < 1e-12);
+        assert!(sum_of_outer_products(&vectors[..2]).inverse().is_none());
+        assert!(Normal { a: [f64::NAN; 6], b: [0.0; 3] }.solve().is_none());
     }
 }

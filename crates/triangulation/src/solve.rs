@@ -1,8 +1,7 @@
 use crate::config::TriangulationConfig;
-use crate::normal::{self, Normal, outer};
-use crate::rays;
+use crate::normal::Normal;
 use crate::robust::{self, Scales};
-use crate::views::View;
+use crate::views::{RayWeights, Views};
 use ffgs_core::EstimateStatus;
 use glam::{DMat3, DVec3};
 
@@ -21,9 +20,17 @@ pub struct Solution {
     pub views: usize,
 }
 
+/// A point with its normal system and weighted squared residuals (px^2).
+#[derive(Clone, Copy)]
+struct Fit {
+    point: DVec3,
+    normal: Normal,
+    cost: f64,
+}
+
 /// Solves for the Gaussian whose observations are `views`; views that contradict the others are removed from it.
 pub fn solve(
-    views: &mut Vec<View>,
+    views: &mut Views,
     config: &TriangulationConfig,
     scales: Scales,
 ) -> Result<Solution, EstimateStatus> {
@@ -32,153 +39,130 @@ pub fn solve(
     }
     let start = ray_start(views, config).ok_or(EstimateStatus::Degenerate)?;
     let start = if config.robust { keep_consistent(views, start, scales)? } else { start };
-    if views.iter().any(|v| !(v.depth(start) > 0.0)) {
-        return Err(EstimateStatus::BehindCamera);
-    }
-    let point = if config.robust {
-        let rough = refine(views, start, config, ROUGH);
+    let fit = if config.robust {
+        let rough = refine(views, start, config, ROUGH)?;
         settle(views, rough, config, scales)?
     } else {
-        refine(views, start, config, CONVERGED)
+        refine(views, start, config, CONVERGED)?
     };
-    let solution = summarise(views, point, config)?;
+    let solution = summarise(views, &fit)?;
     Ok(drop_collinear(views, solution, config))
 }
 
 /// Plain rays, re-weighted once with the solution's own depths.
-fn ray_start(views: &[View], config: &TriangulationConfig) -> Option<DVec3> {
+fn ray_start(views: &Views, config: &TriangulationConfig) -> Option<DVec3> {
     if !config.depth_weighting {
-        return rays::solve(views, |_| 1.0);
+        return views.rays(DVec3::ZERO, RayWeights::Plain).solve();
     }
-    let first = rays::solve(views, |v| rays::pixels_per_metre_squared(v, DVec3::ZERO))?;
-    rays::solve(views, |v| rays::pixels_per_metre_squared(v, first))
+    let first = views.rays(DVec3::ZERO, RayWeights::Depth).solve()?;
+    views.rays(first, RayWeights::Depth).solve()
 }
 
 /// Moves to the consensus and removes the views beyond the cut there.
-fn keep_consistent(views: &mut Vec<View>, start: DVec3, scales: Scales) -> Result<DVec3, EstimateStatus> {
+fn keep_consistent(views: &mut Views, start: DVec3, scales: Scales) -> Result<DVec3, EstimateStatus> {
     let point = robust::locate(views, start, scales);
     // Twice the cut: the point is not refined yet, and a view lost here never returns.
     let cut2 = 4.0 * scales.cut * scales.cut;
-    let kept = views.iter().filter(|v| v.error_squared(point) <= cut2).count();
-    if kept >= 2 {
-        views.retain(|v| v.error_squared(point) <= cut2);
-        return Ok(point);
+    let (mut kept, mut in_front) = (0, 0);
+    for error in views.errors(point) {
+        kept += usize::from(error <= cut2);
+        in_front += usize::from(error < f64::INFINITY);
     }
-    let in_front = views.iter().filter(|v| v.depth(point) > 0.0).count();
-    Err(if in_front < 2 { EstimateStatus::BehindCamera } else { EstimateStatus::Residual })
+    if kept < 2 {
+        let hidden = in_front < 2;
+        return Err(if hidden { EstimateStatus::BehindCamera } else { EstimateStatus::Residual });
+    }
+    if kept < views.len() {
+        views.remove_where(point, |error| !(error <= cut2));
+    }
+    Ok(point)
 }
 
 /// Redescending rounds: drop the views beyond the cut, refine on the rest.
 fn settle(
-    views: &mut Vec<View>,
-    mut point: DVec3,
+    views: &mut Views,
+    mut fit: Fit,
     config: &TriangulationConfig,
     scales: Scales,
-) -> Result<DVec3, EstimateStatus> {
+) -> Result<Fit, EstimateStatus> {
     let cut2 = scales.cut * scales.cut;
-    while let Some(worst) = worst_beyond(views, point, cut2) {
+    while let Some(worst) = worst_beyond(views, fit.point, cut2) {
         if views.len() <= 2 {
             return Err(EstimateStatus::Residual);
         }
-        views.swap_remove(worst);
-        point = refine(views, point, config, ROUGH);
+        views.remove(|view| view == worst);
+        fit = refine(views, fit.point, config, ROUGH)?;
     }
-    Ok(refine(views, point, config, CONVERGED))
+    if config.refine {
+        Ok(gauss_newton(views, fit, CONVERGED))
+    } else {
+        refine(views, fit.point, config, CONVERGED)
+    }
 }
 
-fn worst_beyond(views: &[View], point: DVec3, cut2: f64) -> Option<usize> {
-    let errors = views.iter().map(|v| v.error_squared(point)).enumerate();
+fn worst_beyond(views: &mut Views, point: DVec3, cut2: f64) -> Option<usize> {
+    let errors = views.errors(point).enumerate();
     errors.filter(|(_, e)| *e > cut2).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
 }
 
 /// The least-squares point of the given views, from `start`.
-fn refine(views: &[View], start: DVec3, config: &TriangulationConfig, tolerance: f64) -> DVec3 {
+fn refine(
+    views: &Views,
+    start: DVec3,
+    config: &TriangulationConfig,
+    tolerance: f64,
+) -> Result<Fit, EstimateStatus> {
     if config.refine {
-        return gauss_newton(views, start, tolerance);
+        let (normal, cost) = views.reprojection(start).ok_or(EstimateStatus::BehindCamera)?;
+        return Ok(gauss_newton(views, Fit { point: start, normal, cost }, tolerance));
     }
-    let again = if config.depth_weighting {
-        rays::solve(views, |v| rays::pixels_per_metre_squared(v, start))
-    } else {
-        rays::solve(views, |_| 1.0)
-    };
-    again.unwrap_or(start)
+    let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
+    let point = views.rays(start, weights).solve().unwrap_or(start);
+    Ok(Fit { point, normal: views.rays(point, RayWeights::Depth), cost: views.ray_cost(point) })
 }
 
 /// Gauss-Newton steps, at most; four suffice from the rays' solution, the rest is for narrow baselines.
 const MAX_STEPS: usize = 20;
-/// Relative step (of the distance to the cameras) at which the iteration has converged.
-const CONVERGED: f64 = 1e-12;
+/// Relative step (of the distance to the cameras) at which the iteration has converged: nanometres at 1 m, and what is
+/// left is a thousandth of the last step.
+const CONVERGED: f64 = 1e-9;
 /// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
 const ROUGH: f64 = 1e-6;
 
 /// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt).
-fn gauss_newton(views: &[View], start: DVec3, tolerance: f64) -> DVec3 {
-    let scale = views.iter().map(|v| v.center.length()).fold(0.0, f64::max);
-    let (mut point, mut damping) = (start, 0.0);
-    let mut cost = reprojection_cost(views, point);
+fn gauss_newton(views: &Views, start: Fit, tolerance: f64) -> Fit {
+    let (mut best, mut damping) = (start, 0.0_f64);
     for _ in 0..MAX_STEPS {
-        let Some(step) = damped_step(views, point, damping) else { break };
-        let next = reprojection_cost(views, point + step);
-        if next <= cost {
-            point += step;
-            cost = next;
-            damping = if damping > 1e-6 { damping * 0.1 } else { 0.0 };
-            if step.length() <= tolerance * scale {
-                break;
+        let Some(step) = best.normal.damped(damping).solve() else { break };
+        let point = best.point + step;
+        let small = step.length() <= tolerance * views.scale;
+        match views.reprojection(point) {
+            Some((normal, cost)) if cost <= best.cost => {
+                best = Fit { point, normal, cost };
+                damping = if damping > 1e-6 { damping * 0.1 } else { 0.0 };
             }
-        } else if step.length() <= tolerance * scale {
+            _ => damping = (damping * 10.0).max(1e-3),
+        }
+        if small {
             break;
-        } else {
-            damping = (damping * 10.0).max(1e-3);
         }
     }
-    point
-}
-
-fn reprojection_cost(views: &[View], point: DVec3) -> f64 {
-    views.iter().map(|v| v.weight * v.error_squared(point)).sum()
-}
-
-fn damped_step(views: &[View], point: DVec3, damping: f64) -> Option<DVec3> {
-    let mut normal = reprojection_normal(views, point)?;
-    let diagonal = DVec3::new(normal.a.0.x_axis.x, normal.a.0.y_axis.y, normal.a.0.z_axis.z);
-    normal.a.0 += DMat3::from_diagonal(diagonal * damping);
-    normal.solve()
-}
-
-/// `sum w J^T J` and `sum w J^T r`; `None` behind a camera.
-fn reprojection_normal(views: &[View], point: DVec3) -> Option<Normal> {
-    let mut normal = Normal::default();
-    for view in views {
-        let r = view.linearise(point)?;
-        let [jx, jy] = r.jacobian;
-        normal.add((outer(jx) + outer(jy)) * view.weight, (jx * r.pixel.x + jy * r.pixel.y) * view.weight);
-    }
-    Some(normal)
+    best
 }
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
-fn summarise(views: &[View], step: DVec3, config: &TriangulationConfig) -> Result<Solution, EstimateStatus> {
-    let n = views.len();
-    let mean = views.iter().map(|v| v.weight).sum::<f64>() / n as f64;
-    let (information, residuals): (DMat3, f64) = if config.refine {
-        let normal = reprojection_normal(views, step).ok_or(EstimateStatus::BehindCamera)?;
-        (normal.a.0, reprojection_cost(views, step))
-    } else {
-        let normal = rays::normal(views, |v| rays::pixels_per_metre_squared(v, step));
-        (normal.a.0, views.iter().map(|v| v.weight * rays::residual_squared(v, step)).sum())
-    };
-    let information = information * mean.recip();
-    let residuals = residuals / mean;
-    let unit_covariance = normal::inverse(&information).ok_or(EstimateStatus::Degenerate)?;
-    if !residuals.is_finite() {
+fn summarise(views: &Views, fit: &Fit) -> Result<Solution, EstimateStatus> {
+    let (n, mean) = (views.len(), views.mean_weight());
+    if !fit.cost.is_finite() {
         return Err(EstimateStatus::BehindCamera);
     }
-    Ok(Solution { step, unit_covariance, residuals, degrees: 2.0 * n as f64 - 3.0, views: n })
+    let unit_covariance = fit.normal.inverse().ok_or(EstimateStatus::Degenerate)? * mean;
+    let residuals = fit.cost / mean;
+    Ok(Solution { step: fit.point, unit_covariance, residuals, degrees: 2.0 * n as f64 - 3.0, views: n })
 }
 
 /// Discards the views whose ray is nearly parallel to the motion (Algorithm 1, line 22) and solves again.
-fn drop_collinear(views: &mut Vec<View>, solution: Solution, config: &TriangulationConfig) -> Solution {
+fn drop_collinear(views: &mut Views, solution: Solution, config: &TriangulationConfig) -> Solution {
     let length = solution.step.length();
     if config.collinear_degrees == 0.0 || length == 0.0 {
         return solution;
@@ -188,13 +172,13 @@ fn drop_collinear(views: &mut Vec<View>, solution: Solution, config: &Triangulat
     let variance = (1.0 + solution.residuals) / (1.0 + solution.degrees);
     let sigma = (variance * direction.dot(solution.unit_covariance * direction)).sqrt();
     let limit = config.collinear_degrees.to_radians().cos();
-    let kept = |v: &View| v.ray.dot(direction).abs() <= limit;
-    let remaining = views.iter().filter(|v| kept(v)).count();
+    let along: Vec<bool> = (0..views.len()).map(|v| !(views.ray(v).dot(direction).abs() <= limit)).collect();
+    let remaining = along.iter().filter(|a| !**a).count();
     if length < config.collinear_min_sigma * sigma || remaining < 2 || remaining == views.len() {
         return solution;
     }
-    views.retain(kept);
+    views.remove(|view| along[view]);
     // Fewer views may no longer fix the point; then the solution with all of them stands.
-    let point = refine(views, solution.step, config, CONVERGED);
-    summarise(views, point, config).unwrap_or(solution)
+    let again = refine(views, solution.step, config, CONVERGED);
+    again.and_then(|fit| summarise(views, &fit)).unwrap_or(solution)
 }

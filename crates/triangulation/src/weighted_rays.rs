@@ -1,8 +1,7 @@
 use crate::config::TriangulationConfig;
-use crate::rays;
 use crate::robust::{self, Scales};
 use crate::solve::{Solution, solve};
-use crate::views::{View, gather};
+use crate::views::{Lens, RayWeights, Views};
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -74,12 +73,15 @@ impl Triangulator for WeightedRays {
         if !self.config.is_valid() {
             return Err(TriangulationError::Config(Box::new(self.config)));
         }
-        let batch = Batch { config: &self.config, previous, cameras, observations };
+        let lenses: Vec<Lens> = cameras.iter().map(Lens::from).collect();
+        let batch = Batch { config: &self.config, previous, lenses: &lenses, observations };
         let scales = batch.scales();
-        let solutions: Vec<_> = (0..previous.len())
-            .into_par_iter()
-            .map_init(Vec::new, |views, i| batch.solve_one(i, scales, views))
-            .collect();
+        let mut solutions = vec![Err(EstimateStatus::TooFewViews); previous.len()];
+        solutions.par_chunks_mut(CHUNK).enumerate().for_each_init(Views::default, |views, (chunk, out)| {
+            out.iter_mut()
+                .enumerate()
+                .for_each(|(k, solution)| *solution = batch.solve_one(chunk * CHUNK + k, scales, views));
+        });
         let pooled = pooled_variance(&solutions);
         out.means.clear();
         out.covariances.clear();
@@ -99,18 +101,20 @@ type Outcome = Result<Solution, EstimateStatus>;
 struct Batch<'a> {
     config: &'a TriangulationConfig,
     previous: &'a [DVec3],
-    cameras: &'a [Camera],
+    lenses: &'a [Lens],
     observations: &'a Observations,
 }
 
+/// Gaussians a task solves: neighbours in the columns of the observations, so that cache lines are shared.
+const CHUNK: usize = 256;
 /// Gaussians the noise scale of the robust cut is taken from.
 const SCALE_SAMPLES: usize = 512;
 /// Rounds of the noise scale, each with the soft scale of the one before.
 const SCALE_ROUNDS: usize = 4;
 
 impl Batch<'_> {
-    fn solve_one(&self, i: usize, scales: Scales, views: &mut Vec<View>) -> Outcome {
-        gather(self.previous[i], self.cameras, self.observations, i, views);
+    fn solve_one(&self, i: usize, scales: Scales, views: &mut Views) -> Outcome {
+        views.gather(self.previous[i], self.lenses, self.observations, i);
         solve(views, self.config, scales)
     }
 
@@ -148,14 +152,14 @@ impl Batch<'_> {
 
     /// Squared residuals (px^2) about the softly re-weighted point, corrected for its three fitted coordinates.
     fn soft_residuals(&self, i: usize, soft: f64) -> Vec<f64> {
-        let mut views = Vec::new();
-        gather(self.previous[i], self.cameras, self.observations, i, &mut views);
+        let mut views = Views::default();
+        views.gather(self.previous[i], self.lenses, self.observations, i);
         let n = views.len() as f64;
-        let start = rays::solve(&views, |v| rays::pixels_per_metre_squared(v, DVec3::ZERO));
+        let start = views.rays(DVec3::ZERO, RayWeights::Depth).solve();
         let Some(start) = start.filter(|_| views.len() >= 3) else { return Vec::new() };
         let point = robust::soften(&views, start, soft);
         let correction = 2.0 * n / (2.0 * n - 3.0);
-        views.iter().map(|v| v.weight * v.error_squared(point) * correction).collect()
+        views.weighted_errors(point).map(|e| e * correction).collect()
     }
 }
 
