@@ -5,8 +5,9 @@ use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::contract::View;
 use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
 use crate::projection::Splat;
-use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
-use ffgs_core::{Gaussians, PlanarImage};
+use crate::tape::{RenderTape, TilePixels, for_each_pixel};
+use crate::tiles::TileGrid;
+use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -32,6 +33,27 @@ impl FootprintSums {
     }
 }
 
+/// What is summed under footprints.
+pub trait PixelChannels: Sync {
+    /// Number of channels.
+    fn count(&self) -> usize;
+
+    /// Writes the channels of a pixel, counted row by row; `false` when the pixel does not count: then it adds to no
+    /// sum, and nothing is blended there.
+    fn at(&self, pixel: usize, values: &mut [f32]) -> bool;
+}
+
+impl PixelChannels for &[&[f32]] {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn at(&self, pixel: usize, values: &mut [f32]) -> bool {
+        values.iter_mut().zip(*self).for_each(|(value, channel)| *value = channel[pixel]);
+        true
+    }
+}
+
 impl CpuRasterizer {
     /// Renders `gaussians` and sums `alpha T * channel` per Gaussian over the pixels, for each row-major channel.
     pub fn accumulate(
@@ -42,8 +64,21 @@ impl CpuRasterizer {
         tape: &mut RenderTape,
         out: &mut FootprintSums,
     ) {
+        self.accumulate_first(gaussians, gaussians.len(), view, &channels, tape, out);
+    }
+
+    /// As [`CpuRasterizer::accumulate`] for the first `wanted` Gaussians; the others only hide what is behind them.
+    pub fn accumulate_first(
+        &self,
+        gaussians: &Gaussians,
+        wanted: usize,
+        view: &View,
+        channels: &impl PixelChannels,
+        tape: &mut RenderTape,
+        out: &mut FootprintSums,
+    ) {
         self.prepare(gaussians, view, tape);
-        let (arch, size, width) = (Arch::new(), view.camera.size(), channels.len() + 1);
+        let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
         let RenderTape { lists, splats, grid, .. } = tape;
         out.entries.clear();
         out.entries.resize(lists.len() * width, 0.0);
@@ -54,16 +89,11 @@ impl CpuRasterizer {
             }
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len() / width];
-            let planes: Vec<TilePlane> = channels.iter().map(|c| gather(size, *grid, tile, c)).collect();
-            arch.dispatch(SumTile {
-                origin: tile_origin(tile, *grid),
-                splats,
-                slots,
-                planes: &planes,
-                entries,
-            });
+            let (planes, open) = gather_channels(size, *grid, tile, channels);
+            let origin = tile_origin(tile, *grid);
+            arch.dispatch(SumTile { origin, splats, slots, wanted, planes: &planes, open, entries });
         });
-        out.collect(gaussians.len(), channels.len(), tape);
+        out.collect(wanted, channels.count(), tape);
     }
 
     /// Renders `gaussians` in two parts: what lies nearer than `depths` at each tile, and the rest over the view's
@@ -149,13 +179,13 @@ pub struct SplitLayers {
 
 impl Default for SplitLayers {
     fn default() -> Self {
-        let empty = PlanarImage::zeros(ffgs_core::ImageSize { width: 1, height: 1 });
+        let empty = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
         Self { front: empty.clone(), transmittance: Vec::new(), behind: empty, tiles: Vec::new() }
     }
 }
 
 impl SplitLayers {
-    fn reset(&mut self, size: ffgs_core::ImageSize) {
+    fn reset(&mut self, size: ImageSize) {
         self.front.reset(size);
         self.behind.reset(size);
         self.transmittance.clear();
@@ -168,7 +198,36 @@ impl SplitLayers {
     }
 }
 
+/// A plane a channel, and 1 in the pixels that count.
+fn gather_channels(
+    size: ImageSize,
+    grid: TileGrid,
+    tile: usize,
+    channels: &impl PixelChannels,
+) -> (Vec<TilePlane>, TilePlane) {
+    let mut planes = vec![TilePlane::ZERO; channels.count()];
+    let mut open = TilePlane::ZERO;
+    let mut values = vec![0.0; channels.count()];
+    for_each_pixel(size, grid, tile, |pixel, local| {
+        if channels.at(pixel, &mut values) {
+            open.0[local] = 1.0;
+            planes.iter_mut().zip(&values).for_each(|(plane, &value)| plane.0[local] = value);
+        }
+    });
+    (planes, open)
+}
+
 impl FootprintSums {
+    /// Gaussians that reach a computed tile, ascending, with their sums and hits.
+    pub(crate) fn touched<'a>(
+        &'a self,
+        tape: &'a RenderTape,
+    ) -> impl Iterator<Item = (usize, &'a [f32], u32)> {
+        let wanted = self.hits.len();
+        let indices = tape.visible_indices().take_while(move |&i| i < wanted);
+        indices.map(|i| (i, self.of(i), self.hits(i)))
+    }
+
     fn collect(&mut self, n: usize, channels: usize, tape: &RenderTape) {
         let width = channels + 1;
         self.channels = channels;
@@ -176,7 +235,8 @@ impl FootprintSums {
         self.sums.resize(n * channels, 0.0);
         self.hits.clear();
         self.hits.resize(n, 0);
-        for (slot, splat) in tape.splats.iter().enumerate() {
+        // Splats are in the order of the Gaussians.
+        for (slot, splat) in tape.splats.iter().enumerate().take_while(|(_, s)| (s.index as usize) < n) {
             let i = splat.index as usize;
             let range = tape.lists.entry_starts[slot] as usize..tape.lists.entry_starts[slot + 1] as usize;
             for &entry in &tape.lists.entries[range] {
@@ -192,7 +252,11 @@ struct SumTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
     slots: &'a [u32],
+    /// Gaussians from this index on are not summed.
+    wanted: usize,
     planes: &'a [TilePlane],
+    /// Transmittance to begin with: 0 in pixels that do not count.
+    open: TilePlane,
     entries: &'a mut [f32],
 }
 
@@ -201,28 +265,37 @@ impl WithSimd for SumTile<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { origin, splats, slots, planes, entries } = self;
+        let Self { origin, splats, slots, wanted, planes, mut open, entries } = self;
         let planes: Vec<&[S::f32s]> = planes.iter().map(|p| S::as_simd_f32s(&p.0).0).collect();
         let sums = vec![simd.splat_f32s(0.0); planes.len() + 1];
-        let mut visitor = Sum::<S> { planes, sums, entries };
-        walk(simd, origin, splats, slots, &mut TilePlane::ONE.clone(), &mut visitor);
+        let mut visitor = Sum::<S> { planes, wanted, counts: true, sums, entries };
+        walk(simd, origin, splats, slots, &mut open, &mut visitor);
     }
 }
 
 struct Sum<'a, S: Simd> {
     planes: Vec<&'a [S::f32s]>,
+    wanted: usize,
+    /// Whether the current splat is summed.
+    counts: bool,
     sums: Vec<S::f32s>,
     entries: &'a mut [f32],
 }
 
 impl<S: Simd> Visitor<S> for Sum<'_, S> {
     #[inline(always)]
-    fn begin(&mut self, simd: S, _: &Splat) {
-        self.sums.fill(simd.splat_f32s(0.0));
+    fn begin(&mut self, simd: S, splat: &Splat) {
+        self.counts = (splat.index as usize) < self.wanted;
+        if self.counts {
+            self.sums.fill(simd.splat_f32s(0.0));
+        }
     }
 
     #[inline(always)]
     fn visit(&mut self, simd: S, c: &Contribution<S>) {
+        if !self.counts {
+            return;
+        }
         let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
         for (sum, plane) in self.sums.iter_mut().zip(&self.planes) {
             *sum = simd.mul_add_e_f32s(c.weight, plane[c.vector], *sum);
@@ -235,6 +308,9 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
 
     #[inline(always)]
     fn end(&mut self, simd: S, entry: usize) {
+        if !self.counts {
+            return;
+        }
         let width = self.sums.len();
         let out = &mut self.entries[entry * width..(entry + 1) * width];
         for (o, &s) in out.iter_mut().zip(&self.sums) {

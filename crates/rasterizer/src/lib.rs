@@ -20,6 +20,7 @@
 //! assert!(tape.transmittance()[12 * 32 + 16] < 0.6);
 //! ```
 
+mod association;
 mod backward;
 mod blend;
 mod block;
@@ -37,9 +38,10 @@ mod tape;
 mod tiles;
 mod top_contributors;
 
+pub use association::{Association, AssociationScratch, Observed};
 pub use contract::{Background, DifferentiableRasterizer, Rasterizer, RenderOptions, View};
 pub use cpu::CpuRasterizer;
-pub use footprint::{FootprintSums, SplitLayers, TileDepths};
+pub use footprint::{FootprintSums, PixelChannels, SplitLayers, TileDepths};
 pub use gradients::{Gradients, PixelGradients};
 pub use spherical_harmonics::basis as sh_basis;
 pub use tape::RenderTape;

@@ -89,7 +89,7 @@ fn motion_fields(c: &mut Criterion) {
         });
         let mut fields = vec![field.clone(); 3];
         group.bench_function(BenchmarkId::new("agreement", format!("{width}x{height}")), |b| {
-            b.iter(|| agreement(&mut fields, &AgreementConfig::default()).expect("one size"));
+            b.iter(|| agreement(&mut fields, None, &AgreementConfig::default()).expect("one size"));
         });
         group.finish();
     }

@@ -1,9 +1,12 @@
+use crate::kernel_mean::{Candidate, KernelMean, LANES, Means};
 use crate::normalised::{Normalisation, NormalisedTracks, RowBand, bands, check_sigma, prepare};
 use crate::{IntegerCentredTracks, MotionError, MotionInterpolator};
 use ffgs_core::{DenseMotion, ImageSize, Mask};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use pulp::Arch;
 use rayon::prelude::*;
 use std::num::NonZero;
+use std::ops::Range;
 
 /// Gaussian-weighted K nearest neighbours: Algorithm 2 of the FastFlowGS supplement (after DOT).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +26,7 @@ impl Default for GaussianKnn {
 
 /// Side of the pixel tiles that share one tree query (px). Neighbouring pixels have nearly the same neighbours, so a
 /// tile fetches a superset once: 64 pixels cost two queries and two allocations.
-const TILE: usize = 8;
+const TILE: usize = LANES;
 
 impl MotionInterpolator for GaussianKnn {
     fn densify_integer_centred(
@@ -64,27 +67,38 @@ struct Field<'a> {
     region: Option<&'a Mask>,
 }
 
-/// The K best candidates of a pixel so far: squared distance and track, ascending.
-type Nearest = Vec<(f64, u32)>;
-
 impl Field<'_> {
     fn fill_band(&self, band: &mut RowBand) {
-        let mut nearest = Nearest::with_capacity(self.k.get() + 1);
+        let arch = Arch::new();
+        let mut nearest = vec![[0.0; LANES]; self.k.get()];
         for first_column in (0..band.width).step_by(TILE) {
             let columns = first_column..(first_column + TILE).min(band.width);
             let wanted = |row: usize, column: usize| self.wanted(column, band.first_row + row);
-            let pixels = (0..band.rows()).flat_map(|r| columns.clone().map(move |c| (r, c)));
-            if !pixels.clone().any(|(r, c)| wanted(r, c)) {
-                continue;
-            }
-            let corners = [[columns.start, 0], [columns.end - 1, band.rows() - 1]];
+            let rows: Vec<usize> =
+                (0..band.rows()).filter(|&r| columns.clone().any(|c| wanted(r, c))).collect();
+            let (Some(&top), Some(&bottom)) = (rows.first(), rows.last()) else { continue };
+            let corners = [[columns.start, top], [columns.end - 1, bottom]];
             let candidates = self.candidates(corners.map(|[c, r]| self.point(c, band.first_row + r)));
-            for (row, column) in pixels {
-                if self.wanted(column, band.first_row + row) {
-                    self.select(self.point(column, band.first_row + row), &candidates, &mut nearest);
-                    let (value, confidence) = self.weigh(&nearest);
-                    band.set(column, row, value, confidence);
-                }
+            for row in rows {
+                let points: [[f64; 2]; LANES] =
+                    std::array::from_fn(|lane| self.point(first_column + lane, band.first_row + row));
+                let means = arch.dispatch(KernelMean {
+                    x: points.map(|p| p[0]),
+                    y: points[0][1],
+                    candidates: &candidates,
+                    half_precision: self.half_precision,
+                    nearest: &mut nearest,
+                });
+                self.store(band, row, columns.clone(), &means);
+            }
+        }
+    }
+
+    fn store(&self, band: &mut RowBand, row: usize, columns: Range<usize>, means: &Means) {
+        for (lane, column) in columns.enumerate() {
+            if self.wanted(column, band.first_row + row) {
+                let value = [0, 1, 2].map(|v| means.values[v][lane]);
+                band.set(column, row, value, means.confidence[lane]);
             }
         }
     }
@@ -97,10 +111,10 @@ impl Field<'_> {
         self.normalisation.apply([column as f64, row as f64])
     }
 
-    /// Every track that can be among the K nearest of a pixel in the tile, ascending.
+    /// Every track that can be among the K nearest of a pixel in the tile, in the order of the tracks.
     ///
     /// With the tile's centre c and radius r, the K nearest of any of its pixels lie within `d_K(c) + 2 r` of c.
-    fn candidates(&self, [low, high]: [[f64; 2]; 2]) -> Vec<u32> {
+    fn candidates(&self, [low, high]: [[f64; 2]; 2]) -> Vec<Candidate> {
         let centre = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
         let radius = 0.5 * (high[0] - low[0]).hypot(high[1] - low[1]);
         let nearest = self.tree.query(&centre).nearest_n::<SquaredEuclidean<f64>>(self.k).execute();
@@ -109,42 +123,13 @@ impl Field<'_> {
         let reach = (kth + 2.0 * radius) * (1.0 + 1e-9) + 1e-12;
         let within =
             self.tree.query(&centre).within::<SquaredEuclidean<f64>>(reach * reach).unsorted().execute();
-        let mut candidates: Vec<u32> = within.iter().map(|n| n.item).collect();
-        candidates.sort_unstable();
-        candidates
-    }
-
-    /// The K nearest candidates; of equally distant ones the first tracks.
-    fn select(&self, pixel: [f64; 2], candidates: &[u32], nearest: &mut Nearest) {
-        nearest.clear();
-        for &track in candidates {
-            let p = self.tracks.points[track as usize];
-            let (dx, dy) = (pixel[0] - p[0], pixel[1] - p[1]);
-            let d2 = dx * dx + dy * dy;
-            let full = nearest.len() == self.k.get();
-            if full && !nearest.last().is_some_and(|worst| d2 < worst.0) {
-                continue;
-            }
-            if full {
-                nearest.pop();
-            }
-            let at = nearest.iter().rposition(|n| n.0 <= d2).map_or(0, |i| i + 1);
-            nearest.insert(at, (d2, track));
-        }
-    }
-
-    /// Weighted means and the confidence. Weights are relative to the nearest, whose own weight is then 1: the sum
-    /// can neither underflow nor be 0 / 0 however far the tracks are.
-    fn weigh(&self, nearest: &Nearest) -> ([f64; 3], f64) {
-        let closest = nearest.first().map_or(f64::INFINITY, |n| n.0);
-        let (mut sum, mut total) = ([0.0; 3], 0.0);
-        for &(d2, track) in nearest {
-            let weight = (-(d2 - closest) * self.half_precision).exp();
-            total += weight;
-            for (s, v) in sum.iter_mut().zip(self.tracks.values[track as usize]) {
-                *s += weight * v;
-            }
-        }
-        (sum.map(|s| s / total), (-closest * self.half_precision).exp())
+        let mut tracks: Vec<u32> = within.iter().map(|n| n.item).collect();
+        // Of equally distant ones the first tracks count.
+        tracks.sort_unstable();
+        let candidate = |track: &u32| {
+            let track = *track as usize;
+            Candidate { point: self.tracks.points[track], values: self.tracks.values[track] }
+        };
+        tracks.iter().map(candidate).collect()
     }
 }

@@ -21,6 +21,7 @@ mod agreement;
 mod config;
 mod gaussian_knn;
 mod interpolator;
+mod kernel_mean;
 mod natural_neighbour;
 mod normalised;
 

@@ -165,12 +165,12 @@ fn an_unknown_tracker_does_not_disagree() {
         out
     };
     let mut flows = [known([4.0, 0.0], 1.0), known([4.0, 0.0], 0.5), known([0.0, 0.0], 0.0)];
-    agreement(&mut flows, &AgreementConfig::default()).unwrap();
+    agreement(&mut flows, None, &AgreementConfig::default()).unwrap();
     assert_eq!(flows.each_ref().map(|f| f.confidence[0]), [1.0, 0.5, 0.0]);
     let literal = AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false };
-    agreement(&mut flows, &literal).unwrap();
+    agreement(&mut flows, None, &literal).unwrap();
     assert!(flows[0].confidence[0] < 0.6);
     let mut still = [known([0.0, 0.0], 1.0), known([0.0, 0.0], 1.0)];
-    agreement(&mut still, &literal).unwrap();
+    agreement(&mut still, None, &literal).unwrap();
     assert_eq!(still[0].confidence[0], 1.0);
 }

@@ -62,7 +62,7 @@ fn agreement_matches_algorithm_1() {
             .collect();
         let floor = array(&case, "magnitude_floor")[0] as f32;
         let config = AgreementConfig { magnitude_floor_px: floor, ..AgreementConfig::default() };
-        agreement(&mut flows, &config).unwrap();
+        agreement(&mut flows, None, &config).unwrap();
         let found: Vec<f32> = flows.iter().flat_map(|f| f.confidence.clone()).collect();
         let error = largest_difference(&found, &array(&case, "expected_confidence"));
         assert!(error < 1e-6, "{name}: {error:.1e}");

@@ -1,17 +1,21 @@
 //! Lines 3 to 19: what the trackers say of every Gaussian.
 
-use super::fields::{motion_fields, selected_trackers};
+use super::fields::{agree, densify_tracks, load, selected_trackers};
 use super::{MotionInput, MotionOutcome, add_seconds};
-use crate::config::Config;
 use anyhow::Result;
-use ffgs_core::{Camera, DenseMotion, Gaussians, Observations};
-use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, TileMask, View};
+use ffgs_core::{DenseMotion, Gaussians, Observations};
+use ffgs_rasterizer::{Association, AssociationScratch, Observed};
 use ffgs_trainer::TrainingView;
-use glam::{DVec2, DVec3};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// Lines 3 to 19: motion fields view by view (so that memory does not grow with the views), agreement, association.
-/// `inspect` sees each view's index and fields.
+/// Bytes that the motion fields of views in flight may take together; one view is always allowed.
+const FIELD_BYTES: usize = 1 << 30;
+
+/// Lines 3 to 19: motion fields, agreement, association. Views are worked on in parallel, so many at once as
+/// [`FIELD_BYTES`] hold, so that memory does not grow with their number. `inspect` sees each view's index and fields.
 pub fn observe(
     input: &MotionInput,
     gaussians: &Gaussians,
@@ -19,80 +23,106 @@ pub fn observe(
     inspect: &mut dyn FnMut(usize, &[DenseMotion]),
 ) -> Result<Vec<Observations>> {
     let trackers = selected_trackers(input, outcome);
-    let n = gaussians.len();
-    let mut observations = vec![Observations::unobserved(input.before.len(), n); trackers.len()];
-    let mut joint = gaussians.clone();
-    joint.extend(input.static_layer);
-    let mut scratch = (RenderTape::default(), FootprintSums::default());
+    let mut observations =
+        vec![Observations::unobserved(input.before.len(), gaussians.len()); trackers.len()];
+    let mut rows = rows(&mut observations);
+    let joint = shapes(gaussians, input.static_layer);
     let previous = outcome.previous.clone();
-    for (v, view) in input.before.iter().enumerate().filter(|(_, view)| view.mask.count() > 0) {
-        let fields = motion_fields(input, &trackers, v, &view.mask, outcome)?;
-        inspect(v, &fields);
+    let scratch = Mutex::new(Vec::new());
+    let views: Vec<usize> = (0..input.before.len()).filter(|&v| input.before[v].mask.count() > 0).collect();
+    for group in views.chunks(views_at_once(input, trackers.len())) {
+        let fields = motion_fields(input, &trackers, group, outcome)?;
+        group.iter().zip(&fields).for_each(|(&v, fields)| inspect(v, fields));
         let start = Instant::now();
-        associate(input, view, &joint, &fields, &mut scratch);
-        let at = ObservedView { config: input.config, camera: &view.camera, view: v, previous: &previous };
-        at.fill(&scratch.1, &mut observations);
+        let rows: Vec<Vec<Observed>> = group.iter().map(|&v| std::mem::take(&mut rows[v])).collect();
+        group.par_iter().zip(&fields).zip(rows).for_each(|((&v, fields), mut rows)| {
+            with_scratch(&scratch, |scratch| {
+                let association = association(input, &input.before[v], fields);
+                association.observe(&joint, &previous, &mut rows, scratch);
+            });
+        });
         add_seconds(&mut outcome.seconds.association, start);
     }
     Ok(observations)
 }
 
-/// Sums `alpha T` times mask, flow and confidence over every Gaussian's pixels: 1 + 3 channels a tracker.
-fn associate(
+fn association<'a>(
     input: &MotionInput,
-    view: &TrainingView,
-    joint: &Gaussians,
-    fields: &[DenseMotion],
-    (tape, sums): &mut (RenderTape, FootprintSums),
-) {
-    let inside: Vec<f32> = view.mask.data().iter().map(|&m| f32::from(m)).collect();
-    let mut channels = vec![inside.clone()];
-    for field in fields {
-        let floor = input.config.association.flow_floor_px;
-        // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
-        let known = |p: usize| inside[p] * f32::from(field.confidence[p] > 0.0);
-        let n = inside.len();
-        channels.push((0..n).map(known).collect());
-        channels.push((0..n).map(|p| known(p) * field.flow[p][0]).collect());
-        channels.push((0..n).map(|p| known(p) * field.flow[p][1]).collect());
-        let weight = |p: usize| field.confidence[p] * field.flow[p][0].hypot(field.flow[p][1]).max(floor);
-        channels.push((0..n).map(|p| inside[p] * weight(p)).collect());
+    view: &'a TrainingView,
+    fields: &'a [DenseMotion],
+) -> Association<'a> {
+    let config = &input.config.association;
+    Association {
+        camera: &view.camera,
+        mask: &view.mask,
+        fields,
+        flow_floor_px: config.flow_floor_px,
+        min_coverage: config.min_coverage,
+        min_hits: config.min_hits,
     }
-    let channels: Vec<&[f32]> = channels.iter().map(Vec::as_slice).collect();
-    let tiles = TileMask::covering(&view.mask);
-    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-    let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
-    CpuRasterizer::new(options).accumulate(joint, &frame, &channels, tape, sums);
 }
 
-/// Channels a tracker takes in the footprint sums: coverage, flow x, flow y, weight.
-const CHANNELS: usize = 4;
-
-struct ObservedView<'a> {
-    config: &'a Config,
-    /// Camera at t - 1: the flow leads from its image to the image at t, camera motion included.
-    camera: &'a Camera,
-    view: usize,
-    previous: &'a [DVec3],
+/// Both layers without their colours, the moving one first.
+fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
+    let mut joint = Gaussians::empty(0);
+    for layer in [moving, fixed] {
+        joint.means.extend_from_slice(&layer.means);
+        joint.quats.extend_from_slice(&layer.quats);
+        joint.log_scales.extend_from_slice(&layer.log_scales);
+        joint.opacity_logits.extend_from_slice(&layer.opacity_logits);
+    }
+    joint.sh.resize(joint.means.len(), [0.0; 3]);
+    joint
 }
 
-impl ObservedView<'_> {
-    fn fill(&self, sums: &FootprintSums, observations: &mut [Observations]) {
-        let association = &self.config.association;
-        for (i, &mean) in self.previous.iter().enumerate() {
-            let values = sums.of(i);
-            let Some(projection) = self.camera.project(mean) else { continue };
-            if values[0] <= association.min_coverage || sums.hits(i) < association.min_hits {
-                continue;
-            }
-            for (l, observation) in observations.iter_mut().enumerate() {
-                let [coverage, x, y, weight] = [0, 1, 2, 3].map(|c| f64::from(values[1 + l * CHANNELS + c]));
-                if coverage > f64::from(association.min_coverage) && weight > 0.0 {
-                    let entry = self.view * observation.gaussians + i;
-                    observation.targets[entry] = projection.pixel + DVec2::new(x, y) / coverage;
-                    observation.weights[entry] = weight;
-                }
-            }
-        }
+/// (V) of (L): where each view writes.
+fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> {
+    let views = observations.first().map_or(0, |o| o.views);
+    let mut rows: Vec<Vec<Observed>> = (0..views).map(|_| Vec::new()).collect();
+    for observation in observations {
+        let n = observation.gaussians.max(1);
+        let columns = observation.targets.chunks_mut(n).zip(observation.weights.chunks_mut(n));
+        rows.iter_mut()
+            .zip(columns)
+            .for_each(|(row, (targets, weights))| row.push(Observed { targets, weights }));
     }
+    rows
+}
+
+fn views_at_once(input: &MotionInput, trackers: usize) -> usize {
+    let pixels = input.before.iter().map(|v| v.mask.size().pixels()).max().unwrap_or(1);
+    let bytes = pixels * trackers.max(1) * size_of::<[f32; 4]>();
+    (FIELD_BYTES / bytes).max(1)
+}
+
+/// Fields of each view of a group, a tracker each; one step after the other for all of them, so that the times add up.
+fn motion_fields(
+    input: &MotionInput,
+    trackers: &[usize],
+    group: &[usize],
+    outcome: &mut MotionOutcome,
+) -> Result<Vec<Vec<DenseMotion>>> {
+    let start = Instant::now();
+    let loaded: Vec<_> = group.par_iter().map(|&v| load(input, trackers, v)).collect::<Result<_>>()?;
+    add_seconds(&mut outcome.seconds.load, start);
+    let start = Instant::now();
+    let motions = loaded.into_iter().map(|view| view.into_iter().map(|file| outcome.count(file)).collect());
+    let motions: Vec<Vec<_>> = motions.collect();
+    let mut fields: Vec<Vec<DenseMotion>> = (group.par_iter().zip(motions))
+        .map(|(&v, motions)| densify_tracks(input, &input.before[v].mask, motions))
+        .collect::<Result<_>>()?;
+    add_seconds(&mut outcome.seconds.voronoi, start);
+    let start = Instant::now();
+    (group.par_iter().zip(&mut fields))
+        .try_for_each(|(&v, fields)| agree(input, &input.before[v].mask, fields))?;
+    add_seconds(&mut outcome.seconds.agreement, start);
+    Ok(fields)
+}
+
+/// Runs `work` with memory that an earlier view has finished with, if any.
+fn with_scratch(free: &Mutex<Vec<AssociationScratch>>, work: impl FnOnce(&mut AssociationScratch)) {
+    let lock = || free.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut scratch = lock().pop().unwrap_or_default();
+    work(&mut scratch);
+    lock().push(scratch);
 }

@@ -12,7 +12,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     ensure!(floor >= 0.0, input.fault("magnitude_floor", "must not be negative"));
     // Every tracker counts at every pixel, as Algorithm 1 has it.
     let config = AgreementConfig { magnitude_floor_px: floor as f32, ignore_unknown: false };
-    agreement(&mut flows, &config)?;
+    agreement(&mut flows, None, &config)?;
     let size = flows[0].size;
     let confidence: Vec<f32> = flows.iter().flat_map(|f| f.confidence.iter().copied()).collect();
     let mut results = NpzWriter::new();

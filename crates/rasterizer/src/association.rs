@@ -1,0 +1,103 @@
+//! Motion fields to displaced projections of Gaussians, with every contributor (Algorithm 1, lines 15 to 19).
+
+use crate::contract::{Background, RenderOptions, View};
+use crate::cpu::CpuRasterizer;
+use crate::footprint::{FootprintSums, PixelChannels};
+use crate::tape::RenderTape;
+use crate::tiles::TileMask;
+use ffgs_core::{Camera, DenseMotion, Gaussians, Mask};
+use glam::{DVec2, DVec3};
+
+/// What the trackers of one view say at t-1.
+#[derive(Clone, Copy, Debug)]
+pub struct Association<'a> {
+    /// Camera at t-1: the flow leads from its image to the image at t, camera motion included.
+    pub camera: &'a Camera,
+    /// Pixels that count.
+    pub mask: &'a Mask,
+    /// (L) motion fields of the mask's size.
+    pub fields: &'a [DenseMotion],
+    /// Least motion in the weight (px); 0 = literal.
+    pub flow_floor_px: f32,
+    /// Least sum of blending weights of a Gaussian that is observed.
+    pub min_coverage: f32,
+    /// Least number of its pixels.
+    pub min_hits: u32,
+}
+
+/// One tracker's observations of N Gaussians in one view; what is not observed stays as it is.
+#[derive(Debug)]
+pub struct Observed<'a> {
+    /// (N) displaced projections (px).
+    pub targets: &'a mut [DVec2],
+    /// (N) weights.
+    pub weights: &'a mut [f64],
+}
+
+/// Memory that calls reuse.
+#[derive(Debug, Default)]
+pub struct AssociationScratch {
+    tape: RenderTape,
+    sums: FootprintSums,
+}
+
+/// Channels a tracker takes in the footprint sums: coverage, flow x, flow y, weight.
+const CHANNELS: usize = 4;
+
+/// The first channel is the blending weight itself.
+struct Channels<'a>(Association<'a>);
+
+impl PixelChannels for Channels<'_> {
+    fn count(&self) -> usize {
+        1 + CHANNELS * self.0.fields.len()
+    }
+
+    fn at(&self, pixel: usize, values: &mut [f32]) -> bool {
+        if self.0.mask.data()[pixel] == 0 {
+            return false;
+        }
+        values[0] = 1.0;
+        for (values, field) in values[1..].chunks_exact_mut(CHANNELS).zip(self.0.fields) {
+            let (confidence, [x, y]) = (field.confidence[pixel], field.flow[pixel]);
+            // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
+            let known = f32::from(confidence > 0.0);
+            let weight = confidence * (x * x + y * y).sqrt().max(self.0.flow_floor_px);
+            values.copy_from_slice(&[known, known * x, known * y, weight]);
+        }
+        true
+    }
+}
+
+impl Association<'_> {
+    /// Renders `gaussians`, the first N of which move and lie at `means` (m), and gives each tracker's mean flow and
+    /// weight under each of their footprints: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with
+    /// `a = alpha T`, over the mask. Colours are not looked at.
+    pub fn observe(
+        &self,
+        gaussians: &Gaussians,
+        means: &[DVec3],
+        out: &mut [Observed],
+        scratch: &mut AssociationScratch,
+    ) {
+        let AssociationScratch { tape, sums } = scratch;
+        let tiles = TileMask::covering(self.mask);
+        let view =
+            View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
+        let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
+        let channels = Channels(*self);
+        CpuRasterizer::new(options).accumulate_first(gaussians, means.len(), &view, &channels, tape, sums);
+        for (i, values, hits) in sums.touched(tape) {
+            if values[0] <= self.min_coverage || hits < self.min_hits {
+                continue;
+            }
+            let Some(projection) = self.camera.project(means[i]) else { continue };
+            for (out, values) in out.iter_mut().zip(values[1..].chunks_exact(CHANNELS)) {
+                let [coverage, x, y, weight] = [0, 1, 2, 3].map(|c| f64::from(values[c]));
+                if coverage > f64::from(self.min_coverage) && weight > 0.0 {
+                    out.targets[i] = projection.pixel + DVec2::new(x, y) / coverage;
+                    out.weights[i] = weight;
+                }
+            }
+        }
+    }
+}
