@@ -164,11 +164,13 @@ impl Camera {
     /// Column and row of the pixel a world point falls in; `None` behind the camera or outside the image.
     pub fn pixel_of(&self, point_in_world: DVec3) -> Option<(usize, usize)> {
         let Projection { pixel, .. } = self.project(point_in_world)?;
-        let inside = pixel.x >= 0.0
-            && pixel.y >= 0.0
-            && pixel.x < self.size.width as f64
-            && pixel.y < self.size.height as f64;
-        inside.then_some((pixel.x as usize, pixel.y as usize))
+        self.shows(pixel).then_some((pixel.x as usize, pixel.y as usize))
+    }
+
+    /// Whether a pixel position lies in the image.
+    pub fn shows(&self, pixel: DVec2) -> bool {
+        let (width, height) = (self.size.width as f64, self.size.height as f64);
+        pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height
     }
 
     /// Unit viewing ray through a pixel, in world coordinates.

@@ -7,18 +7,19 @@ use ffgs_core::Estimates;
 use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
 use ffgs_trainer::TrainingView;
 use glam::DVec3;
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// Size of a pixel at each Gaussian (m): z / f in the nearest camera that sees it.
 pub fn pixel_sizes(means: &[DVec3], views: &[TrainingView]) -> Vec<f64> {
     let size = |mean: &DVec3| {
         let sizes = views.iter().filter_map(|v| {
-            v.camera.pixel_of(*mean)?;
-            Some(v.camera.project(*mean)?.depth / v.camera.intrinsics().focal())
+            let projection = v.camera.project(*mean).filter(|p| v.camera.shows(p.pixel))?;
+            Some(projection.depth / v.camera.intrinsics().focal())
         });
         sizes.fold(f64::INFINITY, f64::min)
     };
-    let sizes: Vec<f64> = means.iter().map(size).collect();
+    let sizes: Vec<f64> = means.par_iter().map(size).collect();
     let mut seen: Vec<f64> = sizes.iter().copied().filter(|s| s.is_finite()).collect();
     seen.sort_by(f64::total_cmp);
     // A Gaussian that no view sees takes the median size; with none seen at all, a centimetre.

@@ -6,7 +6,6 @@ use anyhow::Result;
 use ffgs_core::{DenseMotion, Gaussians, Observations};
 use ffgs_rasterizer::{Association, AssociationScratch, Observed};
 use ffgs_trainer::TrainingView;
-use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;

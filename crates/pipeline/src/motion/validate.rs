@@ -5,6 +5,7 @@ use anyhow::Result;
 use ffgs_core::{Camera, Mask};
 use ffgs_fusion::{count_views, second_chance, validate};
 use glam::DVec3;
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// Lines 35 to 40: who left the masks gets one second chance beside its neighbours, then goes.
@@ -15,9 +16,13 @@ pub(super) fn validate_positions(
 ) -> Result<()> {
     let start = Instant::now();
     let mut means = positions(&dynamic.gaussians);
-    let valid = valid_positions(input, &means)?;
+    let views = GrownMasks::new(input);
+    let mut valid = views.valid(&means)?;
     second_chance(&outcome.previous, &mut means, &valid)?;
-    let valid = valid_positions(input, &means)?;
+    // Only those that moved are looked at again.
+    let moved: Vec<usize> = (0..means.len()).filter(|&i| !valid[i]).collect();
+    let again = views.valid(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
+    moved.iter().zip(again).for_each(|(&i, now)| valid[i] = now);
     let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i]).collect();
     let lost = means.len() - kept.len();
     outcome.skip("Gaussians removed: outside the masks".into(), lost);
@@ -35,12 +40,24 @@ pub(super) fn validate_positions(
     Ok(())
 }
 
-/// With the masks grown as for marking: a splat's mean may lie beside the mask that its footprint touches.
-fn valid_positions(input: &MotionInput, means: &[DVec3]) -> Result<Vec<bool>> {
-    let with_foreground = input.now.iter().filter(|v| v.mask.count() > 0);
-    let dilation = input.config.marking.dilation;
-    let (cameras, masks): (Vec<Camera>, Vec<Mask>) =
-        with_foreground.map(|v| (v.camera, v.mask.dilated(dilation))).unzip();
-    let counts = count_views(means, &cameras, &masks)?;
-    Ok(counts.into_iter().map(|c| validate(c, input.config.marking.slack)).collect())
+/// Views at t with foreground, their masks grown as for marking: a splat's mean may lie beside the mask that its footprint
+/// touches.
+struct GrownMasks {
+    cameras: Vec<Camera>,
+    masks: Vec<Mask>,
+    slack: u32,
+}
+
+impl GrownMasks {
+    fn new(input: &MotionInput) -> Self {
+        let marking = &input.config.marking;
+        let grown = input.now.par_iter().filter(|v| v.mask.count() > 0);
+        let (cameras, masks) = grown.map(|v| (v.camera, v.mask.dilated(marking.dilation))).unzip();
+        Self { cameras, masks, slack: marking.slack }
+    }
+
+    fn valid(&self, means: &[DVec3]) -> Result<Vec<bool>> {
+        let counts = count_views(means, &self.cameras, &self.masks)?;
+        Ok(counts.into_iter().map(|c| validate(c, self.slack)).collect())
+    }
 }
