@@ -30,7 +30,7 @@ pub struct StructureConfig {
 
 impl Default for StructureConfig {
     fn default() -> Self {
-        Self { neighbours: 200, min_measured: 16, max_seeds: 400, blend: 6, correlated: 10.0, leave: 11.3 }
+        Self { neighbours: 200, min_measured: 16, max_seeds: 400, blend: 6, correlated: 60.0, leave: 11.3 }
     }
 }
 

@@ -67,16 +67,16 @@ pub fn structured(
     let scales: Vec<Vec<f64>> = groups.groups.iter().map(|g| g.scales.clone()).collect();
     let by_group = |i: usize| {
         let g = groups.of[i]?;
-        let group = &groups.groups[g];
+        let group = Some(&groups.groups[g]).filter(|group| !group.deforms)?;
         let (mean, covariance) = group.predict(previous[i], &config.groups);
         Some(Prior {
             mean,
-            covariance: covariance + DMat3::from_diagonal(DVec3::splat(group.deformation)),
+            covariance,
             rotation: group.motion.rotation,
             scales: g,
             spread: group.spread,
             left: false,
-            free: group.deformation > 0.0,
+            free: false,
         })
     };
     let priors: Vec<Option<Prior>> = (0..previous.len()).into_par_iter().map(by_group).collect();
@@ -236,8 +236,7 @@ const CLIP: f64 = 3.0;
 /// Mean product of two trackers' normalised errors about the priors.
 fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
     let errors = |i: usize| -> Vec<DVec3> {
-        // What a group's deformation adds to all trackers alike is no error of theirs.
-        let Some(prior) = priors[i].filter(|p| !p.free) else { return Vec::new() };
+        let Some(prior) = priors[i] else { return Vec::new() };
         let error = |l: usize| {
             let (mean, information) = evidence.of(l, i)?;
             let trace = information.x_axis.x + information.y_axis.y + information.z_axis.z;

@@ -85,6 +85,8 @@ pub struct AssociationConfig {
     pub min_coverage: f32,
     /// Least number of pixels.
     pub min_hits: u32,
+    /// Whether what cannot be in a view's image at t is left unobserved there.
+    pub withdraw_unseen: bool,
     /// What turns with the rigid motion.
     pub rotate: Rotate,
 }
@@ -104,7 +106,13 @@ pub enum Rotate {
 
 impl Default for AssociationConfig {
     fn default() -> Self {
-        Self { flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2, rotate: Rotate::default() }
+        Self {
+            flow_floor_px: 0.25,
+            min_coverage: 1e-3,
+            min_hits: 2,
+            withdraw_unseen: true,
+            rotate: Rotate::default(),
+        }
     }
 }
 

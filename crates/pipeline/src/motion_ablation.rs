@@ -9,7 +9,7 @@ use ffgs_voronoi::{AgreementConfig, Method, SourceFilter};
 pub type Ablation = (&'static str, fn(&mut Config));
 
 /// In the order of the stages.
-pub const ABLATIONS: [Ablation; 23] = [
+pub const ABLATIONS: [Ablation; 24] = [
     ("as configured", |_| {}),
     ("literal: Algorithms 1 and 2", literal),
     ("literal fusion", |c| c.fusion = FusionConfig::literal()),
@@ -22,6 +22,7 @@ pub const ABLATIONS: [Ablation; 23] = [
     ("no agreement floor", |c| c.agreement.magnitude_floor_px = 0.0),
     ("unknown counts as disagreement", |c| c.agreement.ignore_unknown = false),
     ("no flow floor", |c| c.association.flow_floor_px = 0.0),
+    ("what left the image counts", |c| c.association.withdraw_unseen = false),
     ("no depth weighting, no refinement", |c| {
         c.triangulation.depth_weighting = false;
         c.triangulation.refine = false;
@@ -50,6 +51,7 @@ pub fn literal(config: &mut Config) {
     config.voronoi.use_visibility = false;
     config.agreement = AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false };
     config.association.flow_floor_px = 0.0;
+    config.association.withdraw_unseen = false;
     config.association.rotate = crate::config::Rotate::Nothing;
     config.triangulation = TriangulationConfig::literal();
     config.fusion = FusionConfig::literal();

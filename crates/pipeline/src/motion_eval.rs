@@ -3,7 +3,7 @@
 use crate::cli::{FrameRange, Init, LogArgs};
 use crate::config::Config;
 use crate::frame::{TrainViews, load_training};
-use crate::motion::{Dynamic, MotionInput, MotionOutcome, fuse, observe, positions, triangulate};
+use crate::motion::{Dynamic, MotionInput, MotionOutcome, move_by, observe, positions};
 use crate::motion_ablation::ABLATIONS;
 use crate::record::{RunFolder, write_json};
 use crate::state;
@@ -121,8 +121,9 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
     }
     let eval = Evaluation::open(args)?;
     let (mut all, mut frames, mut flow) = (Cells::new(), Vec::new(), BTreeMap::new());
+    let mut steps = Vec::new();
     for frame in eval.frames.clone() {
-        let (cells, seconds) = eval.frame(frame, &mut flow)?;
+        let (cells, seconds) = eval.frame(frame, &mut steps, &mut flow)?;
         if args.per_frame {
             println!("frame {frame}\n{}", text(&cells));
         }
@@ -216,9 +217,9 @@ impl Evaluation {
 
     /// The fused estimate of the bodies over all frames.
     fn bodies(&self) -> Result<Cell> {
-        let mut all = Cells::new();
+        let (mut all, mut steps) = (Cells::new(), Vec::new());
         for frame in self.frames.clone() {
-            merge(&mut all, self.frame(frame, &mut BTreeMap::new())?.0);
+            merge(&mut all, self.frame(frame, &mut steps, &mut BTreeMap::new())?.0);
         }
         Ok(all.remove("fused").and_then(|mut parts| parts.remove("bodies")).unwrap_or_default())
     }
@@ -239,7 +240,13 @@ impl Evaluation {
         Ok((moving, fixed))
     }
 
-    fn frame(&self, frame: usize, flow: &mut BTreeMap<String, Vec<f64>>) -> Result<(Cells, StageSeconds)> {
+    /// `steps` are those of the frame before (m), then of this one; empty before the first.
+    fn frame(
+        &self,
+        frame: usize,
+        steps: &mut Vec<DVec3>,
+        flow: &mut BTreeMap<String, Vec<f64>>,
+    ) -> Result<(Cells, StageSeconds)> {
         let (moving, fixed) = self.layers(frame)?;
         let before = load_training(&self.capture, &self.views, frame - 1)?;
         let now = load_training(&self.capture, &self.views, frame)?;
@@ -260,13 +267,15 @@ impl Evaluation {
                 faults.push(error);
             }
         };
-        let observations = observe(&input, &moving, &mut outcome, &mut inspect)?;
+        let mut observations = observe(&input, &moving, &mut outcome, &mut inspect)?;
         faults.into_iter().next().map_or(Ok(()), Err)?;
-        let estimates = triangulate(&input, &observations, &mut outcome)?;
         // The places are exact: the posterior is that of this frame's motion alone.
         let covariances = vec![DMat3::ZERO; moving.len()];
-        let mut dynamic = Dynamic { gaussians: moving, covariances, ..Dynamic::default() };
-        fuse(&input, &estimates, &mut dynamic, &mut outcome)?;
+        let steps_before = std::mem::take(steps);
+        let mut dynamic =
+            Dynamic { gaussians: moving, covariances, steps: steps_before, ..Dynamic::default() };
+        let estimates = move_by(&input, &mut observations, &mut dynamic, &mut outcome)?;
+        steps.clone_from(&dynamic.steps);
         let parts = self.truth.parts_at(frame - 1, &outcome.previous)?;
         let scorer = Scorer { truth: &self.truth, frame, previous: &outcome.previous, parts: &parts };
         let mut cells = Cells::new();

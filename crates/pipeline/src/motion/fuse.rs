@@ -4,7 +4,7 @@ use super::{Dynamic, MotionInput, MotionOutcome, add_seconds};
 use crate::turn::turn;
 use anyhow::Result;
 use ffgs_core::Estimates;
-use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
+use ffgs_fusion::{Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
 use ffgs_trainer::TrainingView;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -27,13 +27,13 @@ pub fn pixel_sizes(means: &[DVec3], views: &[TrainingView]) -> Vec<f64> {
     sizes.into_iter().map(|s| if s.is_finite() { s } else { typical }).collect()
 }
 
-/// Lines 25 to 34: moves the layer.
+/// Lines 25 to 34: the posterior of the layer.
 pub fn fuse(
     input: &MotionInput,
     estimates: &[Estimates],
-    dynamic: &mut Dynamic,
+    dynamic: &Dynamic,
     outcome: &mut MotionOutcome,
-) -> Result<()> {
+) -> Result<Fused> {
     let start = Instant::now();
     let mut pixel_m = pixel_sizes(&outcome.previous, input.before);
     pixel_m.sort_by(f64::total_cmp);
@@ -43,16 +43,22 @@ pub fn fuse(
         ProcessNoise::PerObject => Some(spatial_objects(&outcome.previous, &input.config.fusion.groups)),
     };
     let standing = vec![DVec3::ZERO; outcome.previous.len()];
-    let steps = if dynamic.steps.len() == standing.len() { &dynamic.steps } else { &standing };
     let fused = fuser.fuse(&FusionInput {
         prior_means: &outcome.previous,
         prior_covariances: &dynamic.covariances,
         estimates,
-        previous_steps: Some(steps),
+        previous_steps: Some(dynamic.known_steps().unwrap_or(&standing)),
         groups: objects.as_deref(),
         last_q: dynamic.q,
         q_floor_m: 0.25 * pixel_m.get(pixel_m.len() / 2).copied().unwrap_or(0.01),
     })?;
+    add_seconds(&mut outcome.seconds.fusion, start);
+    Ok(fused)
+}
+
+/// Moves the layer to its posterior.
+pub fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, outcome: &mut MotionOutcome) {
+    let start = Instant::now();
     let g = &mut dynamic.gaussians;
     g.means.iter_mut().zip(&fused.means).for_each(|(place, mean)| *place = mean.as_vec3().to_array());
     turn(g, &fused.rotations, input.config.association.rotate);
@@ -63,5 +69,4 @@ pub fn fuse(
     dynamic.covariances = fused.covariances;
     dynamic.q = fused.q;
     add_seconds(&mut outcome.seconds.fusion, start);
-    Ok(())
 }

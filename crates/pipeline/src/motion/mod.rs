@@ -6,16 +6,16 @@ mod fuse;
 mod observe;
 mod triangulate;
 mod validate;
+mod withdraw;
 
-pub use fuse::{fuse, pixel_sizes};
+pub use fuse::pixel_sizes;
 pub use observe::observe;
-pub use triangulate::triangulate;
 
 use crate::cli::Init;
 use crate::config::Config;
 use crate::frame::TrainViews;
 use anyhow::Result;
-use ffgs_core::Gaussians;
+use ffgs_core::{Estimates, Gaussians, Observations};
 use ffgs_report::StageSeconds;
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::TrainingView;
@@ -34,6 +34,14 @@ pub struct Dynamic {
     pub q: f64,
     /// Steps of the last initialisation (m); empty before the first.
     pub steps: Vec<DVec3>,
+}
+
+impl Dynamic {
+    /// The last steps (m), if there are any.
+    fn known_steps(&self) -> Option<&[DVec3]> {
+        let known = !self.steps.is_empty() && self.steps.len() == self.gaussians.len();
+        known.then_some(self.steps.as_slice())
+    }
 }
 
 /// What a frame's initialisation needs besides the layer itself.
@@ -92,10 +100,46 @@ pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOu
     if *input.init == Init::None || dynamic.gaussians.is_empty() {
         return Ok(outcome);
     }
-    let observations = observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?;
-    let estimates = triangulate(input, &observations, &mut outcome)?;
-    fuse(input, &estimates, dynamic, &mut outcome)?;
+    let mut observations = observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?;
+    move_by(input, &mut observations, dynamic, &mut outcome)?;
     validate::validate_positions(input, dynamic, &mut outcome)?;
     densify::densify(input, dynamic, &mut outcome);
     Ok(outcome)
+}
+
+/// Lines 20 to 34: from what the trackers saw to the places at t. Returns every tracker's estimates.
+pub fn move_by(
+    input: &MotionInput,
+    observations: &mut [Observations],
+    dynamic: &mut Dynamic,
+    outcome: &mut MotionOutcome,
+) -> Result<Vec<Estimates>> {
+    if input.config.association.withdraw_unseen {
+        let expected = expected_places(input, observations, dynamic, outcome)?;
+        let withdrawn = withdraw::withdraw(input, &expected, observations);
+        outcome.skip("observations withdrawn: the place at t lies outside the image".into(), withdrawn);
+    }
+    let estimates = triangulate::triangulate(input, observations, outcome)?;
+    let fused = fuse::fuse(input, &estimates, dynamic, outcome)?;
+    fuse::apply(input, fused, dynamic, outcome);
+    Ok(estimates)
+}
+
+/// Where the last steps lead; without any, where all observations together do.
+fn expected_places(
+    input: &MotionInput,
+    observations: &[Observations],
+    dynamic: &Dynamic,
+    outcome: &mut MotionOutcome,
+) -> Result<Vec<DVec3>> {
+    if let Some(steps) = dynamic.known_steps() {
+        return Ok(outcome.previous.iter().zip(steps).map(|(place, step)| *place + *step).collect());
+    }
+    // A rehearsal: what it skips is not counted, what it takes is.
+    let mut rehearsal = MotionOutcome { previous: outcome.previous.clone(), ..MotionOutcome::default() };
+    std::mem::swap(&mut rehearsal.seconds, &mut outcome.seconds);
+    let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
+    let fused = fuse::fuse(input, &estimates, dynamic, &mut rehearsal)?;
+    outcome.seconds = rehearsal.seconds;
+    Ok(fused.means)
 }
