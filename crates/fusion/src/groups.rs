@@ -207,7 +207,7 @@ fn shared_noise(leaves: &[std::ops::Range<usize>], voters: &[Option<Voter>], pro
 /// Fewest measured Gaussians of a cell with a vote.
 const MIN_MEASURED: usize = 8;
 /// Gaussians a proposal is fitted to.
-const PROPOSAL_SAMPLE: usize = 256;
+const PROPOSAL_SAMPLE: usize = 96;
 
 impl<'a> Search<'a> {
     fn new(
