@@ -21,6 +21,6 @@ mod table;
 mod truth;
 
 pub use flow::{FlowSummary, TrueFlow, flow_error};
-pub use score::{NOMINAL, Sample, Summary, quantile, summarise};
+pub use score::{BINS_CM, NOMINAL, Sample, Summary, quantile, summarise};
 pub use table::{Row, table};
 pub use truth::{Kind, Truth, TruthError};

@@ -56,7 +56,7 @@ impl Summary {
 }
 
 /// Upper ends of the histogram's bins (cm); the last bin is open.
-const BINS_CM: [f64; 8] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
+pub const BINS_CM: [f64; 8] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 
 /// Summary of the samples; all zero without any.
 pub fn summarise(samples: &[Sample]) -> Summary {

@@ -26,13 +26,8 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let truth = |camera: &str, frame: usize| {
-        let view = capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
-        capture.image_path(Split::Test, view, frame).unwrap_or_default()
-    };
-    let title = format!("fastflowgs: {}", run.manifest.capture);
     print!("{}", table(&records));
-    publish(folder, &title, run.manifest.config.to_toml()?, run.manifest.facts(), records, truth)?;
+    publish(folder, &run.manifest, capture, records)?;
     Ok(())
 }
 

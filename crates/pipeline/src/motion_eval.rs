@@ -5,22 +5,23 @@ use crate::config::Config;
 use crate::frame::{TrainViews, load_training};
 use crate::motion::{Dynamic, MotionInput, MotionOutcome, move_by, observe, positions};
 use crate::motion_ablation::ABLATIONS;
-use crate::record::{RunFolder, write_json};
+use crate::record::{RunFolder, publish, write_json};
+use crate::render::{FinishedRun, progress};
 use crate::state;
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use ffgs_core::{DenseMotion, EstimateStatus, Estimates, Gaussians};
 use ffgs_dataset::Capture;
 use ffgs_motion_eval::{
-    FlowSummary, Kind, Row, Sample, Summary, TrueFlow, Truth, flow_error, summarise, table,
+    BINS_CM, FlowSummary, Kind, NOMINAL, Row, Sample, Summary, TrueFlow, Truth, flow_error, summarise, table,
 };
-use ffgs_report::StageSeconds;
+use ffgs_report::{MotionAccuracy, StageSeconds};
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{TrainingView, from_points};
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// `ffgs motion-eval`.
 #[derive(Clone, Debug, Args)]
@@ -28,7 +29,7 @@ use std::path::PathBuf;
     long_about = "Runs the motion initialisation of every frame from known places and compares each Gaussian with the \
         true rigid motion of the part that it sits on: end-point errors, share measured, normalised errors and \
         coverage, for every tracker alone and fused. Needs a capture with truth/. Without --run the Gaussians are the \
-        capture's initial points.",
+        capture's initial points; with it, the figures become plots in the run's report.",
     after_help = "Examples:\n  ffgs motion-eval fixtures/scenes/fairmont-mini\n  \
         ffgs motion-eval fixtures/scenes/fairmont-mini --run out/mini --json motion.json\n  \
         ffgs motion-eval --simulate"
@@ -122,14 +123,17 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
     let eval = Evaluation::open(args)?;
     let (mut all, mut frames, mut flow) = (Cells::new(), Vec::new(), BTreeMap::new());
     let mut steps = Vec::new();
+    let bar = progress(args.log.quiet, "frames", eval.frames.len());
     for frame in eval.frames.clone() {
         let (cells, seconds) = eval.frame(frame, &mut steps, &mut flow)?;
+        bar.inc(1);
         if args.per_frame {
             println!("frame {frame}\n{}", text(&cells));
         }
         frames.push(FrameScore { frame, seconds, scores: entries(&cells) });
         merge(&mut all, cells);
     }
+    bar.finish_and_clear();
     println!("all frames\n{}", text(&all));
     let flow: BTreeMap<String, FlowSummary> =
         flow.into_iter().map(|(name, mut errors)| (name, FlowSummary::of(&mut errors))).collect();
@@ -143,10 +147,38 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
         );
     }
     println!("{}", stages(&frames));
+    if let Some(run) = &args.run {
+        add_to_report(run, &all)?;
+    }
     if let Some(file) = &args.json {
         write_json(file, &Report { frames, all_frames: entries(&all), flow })?;
     }
     Ok(())
+}
+
+/// Leaves the figures of the bodies beside the run and writes its report again.
+fn add_to_report(run: &Path, all: &Cells) -> Result<()> {
+    let run = FinishedRun::open(run)?;
+    let accuracy: Vec<MotionAccuracy> =
+        all.iter().filter_map(|(name, parts)| Some(accuracy(name, parts.get("bodies")?))).collect();
+    write_json(&run.folder.motion_accuracy(), &accuracy)?;
+    publish(&run.folder, &run.manifest, &run.capture, run.records()?)?;
+    println!("plots: {}", run.folder.0.join("report.html").display());
+    Ok(())
+}
+
+fn accuracy(name: &str, cell: &Cell) -> MotionAccuracy {
+    let summary = summarise(&cell.samples);
+    let share = |count: usize| count as f64 / summary.count.max(1) as f64;
+    MotionAccuracy {
+        name: name.into(),
+        median_cm: summary.median_cm,
+        p95_cm: summary.p95_cm,
+        measured: summary.count as f64 / cell.candidates.max(1) as f64,
+        bins_cm: BINS_CM.into(),
+        shares: summary.histogram.iter().map(|&count| share(count)).collect(),
+        calibration: NOMINAL.iter().zip(&summary.coverage).map(|(n, &inside)| (n.0, inside)).collect(),
+    }
 }
 
 /// The fused estimate of the bodies, or of all simulated scenes, under each change.
@@ -411,7 +443,9 @@ fn merge(all: &mut Cells, frame: Cells) {
 fn text(cells: &Cells) -> String {
     let mut rows = Vec::new();
     for (name, parts) in cells {
-        for (part, cell) in parts.iter().filter(|(part, _)| name == "fused" || !part.contains('(')) {
+        let shown =
+            |part: &str, cell: &Cell| (name == "fused" || !part.contains('(')) && !cell.samples.is_empty();
+        for (part, cell) in parts.iter().filter(|(part, cell)| shown(part, cell)) {
             let summary = summarise(&cell.samples);
             rows.push(Row { name: format!("{name}: {part}"), candidates: cell.candidates, summary });
         }

@@ -1,6 +1,8 @@
 //! What a run writes, and reads again on resume: frame folders, metrics, the report.
 
+use crate::manifest::Manifest;
 use anyhow::{Context, Result};
+use ffgs_dataset::{Capture, Split};
 use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
@@ -28,6 +30,9 @@ pub struct FrameRecord {
     pub frame: usize,
     /// Test views.
     pub views: Vec<ViewMetrics>,
+    /// Mean foreground PSNR over the test views before any finetuning (dB): the grade of the motion initialisation.
+    #[serde(default)]
+    pub initial_mpsnr: Option<f64>,
     /// Gaussians of the static layer.
     pub static_gaussians: usize,
     /// Gaussians of the dynamic layer.
@@ -54,6 +59,9 @@ pub struct Mean {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// PSNR over the foreground before finetuning, always over all test views (dB).
+    #[serde(default)]
+    pub initial_mpsnr: Option<f64>,
     /// Wall clock a frame (s).
     pub seconds_per_frame: Option<f64>,
     /// Gaussians of all layers.
@@ -85,6 +93,7 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
         psnr: mean(views.iter().map(|v| v.psnr)),
         mpsnr: mean(views.iter().filter_map(|v| v.mpsnr)),
         ssim: mean(views.iter().map(|v| v.ssim)),
+        initial_mpsnr: mean(later.iter().filter_map(|f| f.initial_mpsnr)),
         seconds_per_frame: mean(later.iter().filter_map(|f| f.seconds.wall)),
         gaussians: mean(later.iter().map(|f| (f.static_gaussians + f.dynamic_gaussians) as f64)),
         bytes_per_frame: mean(later.iter().map(|f| f.bytes as f64)),
@@ -118,6 +127,11 @@ impl RunFolder {
         self.frame(frame).join("frame.json")
     }
 
+    /// How near to the truth the motion initialisation was, once `ffgs motion-eval --run` has scored it.
+    pub fn motion_accuracy(&self) -> PathBuf {
+        self.0.join("motion-accuracy.json")
+    }
+
     /// The run's own description.
     pub fn manifest(&self) -> PathBuf {
         self.0.join("run.json")
@@ -143,12 +157,15 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 /// Writes `metrics.json` and `report.html`.
 pub fn publish(
     folder: &RunFolder,
-    title: &str,
-    configuration: String,
-    mut facts: Vec<Fact>,
+    manifest: &Manifest,
+    capture: &Capture,
     frames: Vec<FrameRecord>,
-    ground_truth: impl Fn(&str, usize) -> PathBuf,
 ) -> Result<Metrics> {
+    let ground_truth = |camera: &str, frame: usize| {
+        let view = capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
+        capture.image_path(Split::Test, view, frame).unwrap_or_default()
+    };
+    let mut facts = manifest.facts();
     let metrics = Metrics::of(frames);
     write_json(&folder.0.join("metrics.json"), &metrics)?;
     let mut skips = BTreeMap::<String, u64>::new();
@@ -158,9 +175,11 @@ pub fn publish(
     if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
         facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
     }
+    let scored = folder.motion_accuracy();
     let input = ReportInput {
-        title: title.into(),
-        configuration,
+        motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },
+        title: format!("fastflowgs: {}", manifest.capture),
+        configuration: manifest.config.to_toml()?,
         facts,
         frames: metrics.frames.iter().map(|f| frame_report(folder, f, &ground_truth)).collect(),
         skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
@@ -191,6 +210,7 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord, truth: &impl Fn(&str, usize
                 render: at.join(format!("test/{}.png", v.camera)),
             })
             .collect(),
+        initial_mpsnr: f.initial_mpsnr,
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,
         bytes: f.bytes,

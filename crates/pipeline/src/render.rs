@@ -4,7 +4,7 @@ use crate::cli::RenderArgs;
 use crate::lanes::Lanes;
 use crate::manifest::Manifest;
 use crate::motion::positions;
-use crate::record::{RunFolder, read_json};
+use crate::record::{FrameRecord, RunFolder, read_json};
 use crate::scoring::{Layers, render as render_layers, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
@@ -57,6 +57,11 @@ impl FinishedRun {
         }
         let capture = Capture::open(at)?;
         Ok(Self { folder, manifest, capture, frames })
+    }
+
+    /// The numbers of every finished frame.
+    pub(crate) fn records(&self) -> Result<Vec<FrameRecord>> {
+        self.frames.iter().map(|&frame| read_json(&self.folder.record(frame))).collect()
     }
 
     /// Reads the layers of a frame.

@@ -9,7 +9,7 @@ use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
 use crate::motion::{Dynamic, MotionInput, MotionOutcome, initialise, pixel_sizes, positions};
 use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
-use crate::scoring::{Layers, score, write_png};
+use crate::scoring::{Layers, mean_mpsnr, score, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize};
@@ -123,12 +123,7 @@ impl<'a> Job<'a> {
     }
 
     fn publish(&self, records: &[FrameRecord]) -> Result<crate::record::Metrics> {
-        let name = |camera: &str, frame: usize| {
-            let view = self.capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
-            self.capture.image_path(Split::Test, view, frame).unwrap_or_default()
-        };
-        let title = format!("fastflowgs: {}", self.manifest.capture);
-        publish(&self.folder, &title, self.config().to_toml()?, self.manifest.facts(), records.to_vec(), name)
+        publish(&self.folder, &self.manifest, &self.capture, records.to_vec())
     }
 
     /// Frame 0: all layers together, then the split.
@@ -219,8 +214,10 @@ impl<'a> Job<'a> {
         record.skips.clone_from(&motion.skips);
         record.warnings.clone_from(&motion.warnings);
         self.write_pictures(frame, &layers.dynamic, &motion, &now)?;
+        let initialised = layers.clone();
         self.finetune(frame, &mut layers, static_lane, &now, console, &mut record)?;
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
+        record.initial_mpsnr = mean_mpsnr(&self.capture, &initialised, frame, self.lanes())?;
         self.finish(frame, layers, record)
     }
 

@@ -56,6 +56,25 @@ fn is_fixed(capture: &Capture, view: usize) -> bool {
     (1..capture.frames_of(Split::Test)).all(|t| capture.camera(Split::Test, view, t).ok() == first)
 }
 
+/// Mean foreground PSNR (dB) over the test views of `frame`, without pictures; `None` where nothing is in the foreground.
+pub(crate) fn mean_mpsnr(
+    capture: &Capture,
+    layers: &Layers,
+    frame: usize,
+    lanes: Lanes,
+) -> Result<Option<f64>> {
+    let joint = joint(layers);
+    let mut values = Vec::new();
+    for v in 0..capture.views(Split::Test).len() {
+        let truth = crate::frame::load_view(capture, Split::Test, v, frame)?;
+        if truth.mask.count() > 0 {
+            let rendered = lanes.render(&joint, &layers.sky, &truth.camera)?;
+            values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
+        }
+    }
+    Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
+}
+
 /// Renders every test view of `frame` into `folder/test/CAMERA.png` and measures it.
 pub(crate) fn score(
     capture: &Capture,

@@ -17,6 +17,28 @@ pub struct ReportInput {
     pub skips: Vec<SkipCount>,
     /// Warnings of the run.
     pub warnings: Vec<String>,
+    /// The motion initialisation against ground truth, one entry an estimate; empty when it was not scored.
+    pub motion: Vec<MotionAccuracy>,
+}
+
+/// Errors of one motion estimate against ground truth, and how well its covariances foretell them.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MotionAccuracy {
+    /// A tracker, or `fused`.
+    pub name: String,
+    /// Median end-point error (cm).
+    pub median_cm: f64,
+    /// Its 95th percentile (cm).
+    pub p95_cm: f64,
+    /// Share of the Gaussians that have an estimate.
+    pub measured: f64,
+    /// Upper ends of the histogram's bins (cm); a last bin is open.
+    pub bins_cm: Vec<f64>,
+    /// Share of the estimates in each bin, one more than `bins_cm`.
+    pub shares: Vec<f64>,
+    /// (probability, share of the truth inside the ellipsoids of that probability).
+    pub calibration: Vec<(f64, f64)>,
 }
 
 /// A named value.
@@ -45,6 +67,8 @@ pub struct FrameReport {
     pub index: usize,
     /// Test views.
     pub views: Vec<ViewReport>,
+    /// Mean foreground PSNR before finetuning (dB).
+    pub initial_mpsnr: Option<f64>,
     /// Gaussians of the static layer.
     pub static_gaussians: usize,
     /// Gaussians of the dynamic layer.

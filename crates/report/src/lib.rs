@@ -3,13 +3,14 @@
 
 mod colour;
 mod input;
+mod motion_plots;
 mod overlay;
 mod page;
 mod picture;
 mod plot;
 mod timing;
 
-pub use input::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
+pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
 pub use page::{ReportError, write_report};
 pub use picture::error_map;

@@ -1,4 +1,5 @@
-use crate::plot::{Series, svg};
+use crate::motion_plots::motion_plots;
+use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};
 use crate::{FrameReport, ReportInput, ViewReport, error_map, picture};
 use ffgs_core::write_atomically;
@@ -76,6 +77,7 @@ struct Page<'a> {
     pictures: Vec<FramePictures>,
     headlines: Vec<Headline>,
     plots: Vec<String>,
+    motion_plots: Vec<String>,
     timing: Vec<Row>,
     error_range: f64,
 }
@@ -91,6 +93,7 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
         pictures,
         headlines: headlines(&input.frames),
         plots: plots(&input.frames),
+        motion_plots: motion_plots(&input.motion),
         timing: rows(&input.frames),
         error_range: picture::ERROR_RANGE,
     };
@@ -154,14 +157,27 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
 fn plots(frames: &[FrameReport]) -> Vec<String> {
     let metrics: [(&str, Metric); 3] =
         [("PSNR (dB)", |v| v.psnr), ("MPSNR (dB)", |v| v.mpsnr), ("SSIM", |v| v.ssim)];
-    let mut out: Vec<String> =
-        metrics.into_iter().map(|(label, metric)| svg(label, &metric_series(frames, metric))).collect();
+    let mut out: Vec<String> = metrics
+        .into_iter()
+        .map(|(label, metric)| over_frames(label, &metric_series(frames, metric)))
+        .collect();
     let count = |name: &str, of: fn(&FrameReport) -> usize| {
         let points = frames.iter().map(|f| (f.index as f64, Some(of(f) as f64))).collect();
         Series { name: name.to_owned(), bold: false, points }
     };
     let counts = [count("static", |f| f.static_gaussians), count("dynamic", |f| f.dynamic_gaussians)];
-    out.push(svg("Gaussians", &counts));
+    out.push(over_frames("Gaussians", &counts));
+    let grade = |name: &str, of: &dyn Fn(&FrameReport) -> Option<f64>| {
+        let points = frames.iter().map(|f| (f.index as f64, of(f))).collect();
+        Series { name: name.to_owned(), bold: false, points }
+    };
+    if frames.iter().any(|f| f.initial_mpsnr.is_some()) {
+        let series = [
+            grade("finetuned", &|f| mean_of(f, |v| v.mpsnr)),
+            grade("initialisation alone", &|f| f.initial_mpsnr),
+        ];
+        out.push(over_frames("mean MPSNR (dB)", &series));
+    }
     out
 }
 

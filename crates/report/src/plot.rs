@@ -17,18 +17,31 @@ pub struct Series {
     pub name: String,
     /// Drawn thicker: what the eye should follow.
     pub bold: bool,
-    /// (frame, value); a gap where there is no value.
+    /// (x, value); a gap where there is no value.
     pub points: Vec<(f64, Option<f64>)>,
 }
 
+/// What a plot says beside its axes.
+pub struct Labels<'a> {
+    pub x: &'a str,
+    pub y: &'a str,
+    /// Text at x = 0, 1, ... instead of numbers.
+    pub ticks: Option<&'a [String]>,
+}
+
+/// Values over frames.
+pub fn over_frames(y: &str, series: &[Series]) -> String {
+    svg(&Labels { x: "frame", y, ticks: None }, series)
+}
+
 /// Inline SVG with axes, ticks, labels; the legend is HTML below it.
-pub fn svg(y_label: &str, series: &[Series]) -> String {
-    let axes = Axes::around(series);
+pub fn svg(labels: &Labels, series: &[Series]) -> String {
+    let axes = Axes::around(series, labels.ticks.is_some() || labels.x == "frame");
     let mut out =
-        format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">", escape(y_label));
-    axes.draw(&mut out, y_label);
+        format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">", escape(labels.y));
+    axes.draw(&mut out, labels);
     for (i, s) in series.iter().enumerate() {
-        axes.draw_series(&mut out, s, COLOURS[i % COLOURS.len()]);
+        axes.draw_series(&mut out, labels.x, s, COLOURS[i % COLOURS.len()]);
     }
     out += "</svg><div class=\"legend\">";
     for (i, s) in series.iter().enumerate() {
@@ -47,11 +60,12 @@ struct Axes {
 }
 
 impl Axes {
-    fn around(series: &[Series]) -> Self {
+    fn around(series: &[Series], whole: bool) -> Self {
         let points = || series.iter().flat_map(|s| &s.points);
         let [x_low, x_high] = bounds(points().map(|p| p.0));
         let [y_low, y_high] = bounds(points().filter_map(|p| p.1));
-        let (y_step, x_step) = (nice_step(y_high - y_low), nice_step(x_high - x_low).max(1.0));
+        let x_step = nice_step(x_high - x_low).max(if whole { 1.0 } else { 0.0 });
+        let y_step = nice_step(y_high - y_low);
         let y = [(y_low / y_step).floor() * y_step, (y_high / y_step).ceil() * y_step];
         Self { x: [x_low, x_high], y, y_step, x_step }
     }
@@ -64,7 +78,7 @@ impl Axes {
         )
     }
 
-    fn draw(&self, out: &mut String, y_label: &str) {
+    fn draw(&self, out: &mut String, labels: &Labels) {
         let right = WIDTH - RIGHT;
         for y in steps(self.y, self.y_step) {
             let at = self.at(self.x[0], y).1;
@@ -78,8 +92,8 @@ impl Axes {
             );
         }
         let bottom = HEIGHT - BOTTOM;
-        for x in steps(self.x, self.x_step) {
-            let (at, text) = (self.at(x, self.y[0]).0, tick_text(x, self.x_step));
+        for (x, text) in self.x_ticks(labels.ticks) {
+            let (at, text) = (self.at(x, self.y[0]).0, escape(&text));
             let y = bottom + 16.0;
             let _ = write!(out, "<text x=\"{at:.1}\" y=\"{y}\" text-anchor=\"middle\">{text}</text>");
         }
@@ -87,19 +101,27 @@ impl Axes {
         let middle = [f64::midpoint(LEFT, right), f64::midpoint(TOP, bottom)];
         let _ = write!(
             out,
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frame</text>",
+            "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
             middle[0],
-            HEIGHT - 8.0
+            HEIGHT - 8.0,
+            escape(labels.x)
         );
         let _ = write!(
             out,
             "<text transform=\"translate(14 {}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
             middle[1],
-            escape(y_label)
+            escape(labels.y)
         );
     }
 
-    fn draw_series(&self, out: &mut String, series: &Series, colour: &str) {
+    fn x_ticks(&self, named: Option<&[String]>) -> Vec<(f64, String)> {
+        match named {
+            Some(names) => names.iter().enumerate().map(|(i, name)| (i as f64, name.clone())).collect(),
+            None => steps(self.x, self.x_step).map(|x| (x, tick_text(x, self.x_step))).collect(),
+        }
+    }
+
+    fn draw_series(&self, out: &mut String, x_label: &str, series: &Series, colour: &str) {
         let mut path = String::new();
         let mut dots = String::new();
         let mut pen_down = false;
@@ -110,7 +132,7 @@ impl Axes {
             };
             let (px, py) = self.at(x, y);
             let _ = write!(path, "{}{px:.1} {py:.1}", if pen_down { 'L' } else { 'M' });
-            let title = format!("{}, frame {x}: {}", escape(&series.name), significant(y));
+            let title = format!("{}, {} {x}: {}", escape(&series.name), escape(x_label), significant(y));
             let _ = write!(
                 dots,
                 "<circle cx=\"{px:.1}\" cy=\"{py:.1}\" r=\"2.6\"><title>{title}</title></circle>"
@@ -185,7 +207,7 @@ mod tests {
             [vec![], vec![None], vec![Some(3.0); 2], vec![Some(f64::INFINITY), Some(1.0), Some(f64::NAN)]]
         {
             let points = values.into_iter().enumerate().map(|(i, v)| (i as f64, v)).collect();
-            let text = svg("a < b", &[Series { name: "x".into(), bold: false, points }]);
+            let text = over_frames("a < b", &[Series { name: "x".into(), bold: false, points }]);
             assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
         }
     }
