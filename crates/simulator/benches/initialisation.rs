@@ -39,7 +39,7 @@ fn main() {
         let (mut best, mut error) = ([f64::INFINITY; STAGES.len()], 0.0);
         for pass in 0..=PASSES {
             let (seconds, median) = initialise(&scene);
-            if pass > 0 && seconds.iter().sum::<f64>() < best.iter().sum() {
+            if pass > 0 && seconds.iter().sum::<f64>() < best.iter().sum::<f64>() {
                 (best, error) = (seconds, median);
             }
         }
