@@ -83,8 +83,7 @@ fn initialise(scene: &Scene) -> ([f64; STAGES.len()], f64) {
     });
     let mut means = fused.expect("the columns match").means;
     watch.stop(5);
-    // The cars move by little of their length: the masks of t-1 stand for those of t.
-    let masks: Vec<Mask> = scene.views.par_iter().map(|v| v.mask.dilated(2)).collect();
+    let masks: Vec<Mask> = scene.views.par_iter().map(|v| v.mask_now.dilated(2)).collect();
     let counts = count_views(&means, &scene.cameras, &masks).expect("one size");
     let valid: Vec<bool> = counts.into_iter().map(|c| validate(c, 2)).collect();
     second_chance(&scene.previous, &mut means.clone(), &valid).expect("the columns match");

@@ -136,7 +136,7 @@ fn validation(c: &mut Criterion) {
         let scene = scale.scene(4);
         let view = |v: usize| -> (_, &SceneView) { (scene.cameras[v % 4], &scene.views[v % 4]) };
         let (cameras, masks): (Vec<_>, Vec<Mask>) =
-            (0..scale.views).map(view).map(|(camera, view)| (camera, view.mask.clone())).unzip();
+            (0..scale.views).map(view).map(|(camera, view)| (camera, view.mask_now.clone())).unzip();
         group.bench_function(BenchmarkId::new("count", scale.label()), |b| {
             b.iter(|| black_box(count_views(&scene.truth, &cameras, &masks).expect("one size")));
         });

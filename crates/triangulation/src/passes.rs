@@ -228,6 +228,29 @@ impl WithSimd for ErrorPass<'_> {
     }
 }
 
+/// See [`crate::views::Views::truncated_cost`].
+pub struct TruncatedPass<'a> {
+    pub blocks: &'a [Block],
+    pub point: [f64; 3],
+    pub cut2: f64,
+}
+
+impl WithSimd for TruncatedPass<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let point = point_in_all(simd, self.point);
+        let (mut cost, cut2) = (Real::all(simd, 0.0), Real::all(simd, self.cut2));
+        for_each_vector!(simd, self.blocks, |lanes| {
+            let error = lanes.squared_error(lanes.in_camera(point));
+            let truncated = cut2.select_above(error, error, cut2);
+            cost = lanes.get(&lanes.block.weight).times_plus(truncated, cost);
+        });
+        cost.total()
+    }
+}
+
 /// See [`crate::views::Views::ray_cost`].
 pub struct RayResidualPass<'a> {
     pub blocks: &'a [Block],

@@ -1,7 +1,7 @@
 //! The views of one Gaussian, in blocks of a fixed number of lanes, and what is summed over them.
 
 use crate::normal::Normal;
-use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass};
+use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass, TruncatedPass};
 use ffgs_core::{Camera, Observations};
 use glam::{DMat3, DVec2, DVec3};
 use pulp::Arch;
@@ -189,10 +189,8 @@ impl Views {
     }
 
     /// `sum w min(r^2, cut2)`.
-    pub fn truncated_cost(&mut self, point: DVec3, cut2: f64) -> f64 {
-        let Self { arch, blocks, errors, places, .. } = self;
-        arch.dispatch(ErrorPass { blocks, point: point.to_array(), errors });
-        places.iter().map(|&(b, k)| blocks[b].weight[k] * errors[b][k].min(cut2)).sum()
+    pub fn truncated_cost(&self, point: DVec3, cut2: f64) -> f64 {
+        self.arch.dispatch(TruncatedPass { blocks: &self.blocks, point: point.to_array(), cut2 })
     }
 
     /// Weighted squared distances to the rays in pixels, infinite behind a camera.

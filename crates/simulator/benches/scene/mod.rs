@@ -34,6 +34,8 @@ pub const PAPER: Scale =
 pub struct SceneView {
     /// The cars' pixels.
     pub mask: Mask,
+    /// Those at t.
+    pub mask_now: Mask,
     /// What the sparse and the medium tracker say.
     pub tracks: [TrackSet; 2],
     /// What the dense tracker says.
@@ -60,6 +62,11 @@ impl Scale {
     pub fn label(&self) -> String {
         let Self { name, views, width, moving, .. } = *self;
         format!("{name}_{views}views_{width}x{}_{moving}gaussians", width * 9 / 16)
+    }
+
+    /// Half a square that leaves no gaps between neighbouring Gaussians (px).
+    fn radius(&self) -> usize {
+        (self.width / 640).max(1)
     }
 
     /// The first `views` views.
@@ -105,7 +112,7 @@ impl Scale {
             .collect();
         for &(at, flow, depth) in projected.iter().flatten() {
             let flow = flow + noise.pair();
-            for pixel in square(at, self.width / 160, size) {
+            for pixel in square(at, self.radius(), size) {
                 if depth < depths[pixel] {
                     depths[pixel] = depth;
                     dense.flow[pixel] = flow.as_vec2().to_array();
@@ -114,7 +121,7 @@ impl Scale {
                 }
             }
         }
-        let mask: Vec<u8> = depths.iter().map(|d| u8::from(d.is_finite())).collect();
+        let foreground: Vec<u8> = depths.iter().map(|d| u8::from(d.is_finite())).collect();
         let front = |&&(at, _, depth): &&(DVec2, DVec2, f64)| {
             depth < depths[at.y as usize * size.width + at.x as usize] + 0.1
         };
@@ -128,7 +135,13 @@ impl Scale {
             }
             set
         });
-        SceneView { mask: Mask::new(size, mask).expect("a byte a pixel"), tracks, dense }
+        let mut now = vec![0; size.pixels()];
+        for (column, row) in truth.iter().filter_map(|&p| camera.pixel_of(p)) {
+            let at = DVec2::new(column as f64, row as f64);
+            square(at, self.radius(), size).for_each(|pixel| now[pixel] = 1);
+        }
+        let mask = |data| Mask::new(size, data).expect("a byte a pixel");
+        SceneView { mask: mask(foreground), mask_now: mask(now), tracks, dense }
     }
 
     /// Splats as wide as the distance between the cars' points, and a floor.
