@@ -53,7 +53,7 @@ fn one_view(c: &mut Criterion) {
             min_hits: 2,
         };
         group.bench_function(BenchmarkId::new("association", scale.label()), |b| {
-            associate(b, &association, &whole)
+            associate(b, &association, &whole);
         });
         group.finish();
     }
