@@ -268,7 +268,7 @@ impl WithSimd for SumTile<'_> {
         let Self { origin, splats, slots, wanted, planes, mut open, entries } = self;
         let planes: Vec<&[S::f32s]> = planes.iter().map(|p| S::as_simd_f32s(&p.0).0).collect();
         let sums = vec![simd.splat_f32s(0.0); planes.len() + 1];
-        let mut visitor = Sum::<S> { planes, wanted, counts: true, sums, entries };
+        let mut visitor = Sum::<S> { planes, wanted, counts: true, shows: false, sums, entries };
         walk(simd, origin, splats, slots, &mut open, &mut visitor);
     }
 }
@@ -278,6 +278,8 @@ struct Sum<'a, S: Simd> {
     wanted: usize,
     /// Whether the current splat is summed.
     counts: bool,
+    /// Whether a pixel of it has counted; of hidden splats nothing needs to be written.
+    shows: bool,
     sums: Vec<S::f32s>,
     entries: &'a mut [f32],
 }
@@ -286,8 +288,9 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
     #[inline(always)]
     fn begin(&mut self, simd: S, splat: &Splat) {
         self.counts = (splat.index as usize) < self.wanted;
-        if self.counts {
+        if self.shows {
             self.sums.fill(simd.splat_f32s(0.0));
+            self.shows = false;
         }
     }
 
@@ -296,6 +299,7 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
         if !self.counts {
             return;
         }
+        self.shows = true;
         let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
         for (sum, plane) in self.sums.iter_mut().zip(&self.planes) {
             *sum = simd.mul_add_e_f32s(c.weight, plane[c.vector], *sum);
@@ -308,7 +312,7 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
 
     #[inline(always)]
     fn end(&mut self, simd: S, entry: usize) {
-        if !self.counts {
+        if !self.shows {
             return;
         }
         let width = self.sums.len();

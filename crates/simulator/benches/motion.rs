@@ -1,19 +1,77 @@
-//! Stages of the motion initialisation on simulated input: `cargo bench -p ffgs-simulator`.
+//! Stages of the motion initialisation on simulated input: `cargo bench -p ffgs-simulator --bench motion`.
 //!
-//! Sizes: the sample's (20 views of 320x180, 15 000 Gaussians) and the paper's (60 views of 1920x1080, 200 000).
+//! Sizes: the sample's (20 views of 320x180, 23 000 moving and 66 000 standing Gaussians) and the paper's (60 views of
+//! 1920x1080, 200 000 and 200 000). Stages that work view by view are measured on one view.
+
+mod scene;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use ffgs_core::{DenseMotion, Estimates, ImageSize, Mask, TrackSet};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
+use ffgs_core::{Estimates, Mask};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, count_views};
+use ffgs_rasterizer::{Association, AssociationScratch, Observed};
 use ffgs_simulator::{Recipe, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
-use glam::DMat3;
+use glam::{DMat3, DVec2};
+use scene::{PAPER, SAMPLE, Scale, Scene, SceneView};
 use std::hint::black_box;
 
-const SIZES: [(&str, usize, usize); 2] = [("sample", 20, 15_000), ("paper", 60, 200_000)];
+const SCALES: [Scale; 2] = [SAMPLE, PAPER];
 
-fn scene(views: usize, gaussians: usize, trackers: usize) -> Simulation {
+/// Densification, agreement and association of the view in the middle.
+///
+/// Floors, P = masked pixels, about 5 %. Densification: 8 distances, 8 exponentials and 32 products a pixel, 16 bytes
+/// written. Agreement of 3 trackers: 6 lengths and 3 exponentials a pixel, 36 bytes read, 12 written. Association: a
+/// splat is 56 bytes read and about 100 operations to project; then 13 multiplications and additions for each pixel
+/// under each splat.
+fn one_view(c: &mut Criterion) {
+    for scale in SCALES {
+        let whole = scale.scene(scale.views / 2 + 1);
+        let (Some(view), Some(camera)) = (whole.views.last(), whole.cameras.last()) else { continue };
+        let mut group = c.benchmark_group("one_view");
+        group.sample_size(20).throughput(Throughput::Elements(view.mask.count() as u64));
+        let mut fields = vec![view.dense.clone(); 3];
+        let config = VoronoiConfig::default();
+        for (tracker, tracks) in view.tracks.iter().enumerate() {
+            let id = BenchmarkId::new(format!("densify_{}tracks", tracks.src.len()), scale.label());
+            group.bench_function(id, |b| {
+                b.iter(|| densify_view(&config, tracks, &view.mask, &mut fields[tracker]).expect("valid"));
+            });
+        }
+        group.bench_function(BenchmarkId::new("agreement", scale.label()), |b| {
+            let mut fields = fields.clone();
+            b.iter(|| {
+                agreement(&mut fields, Some(&view.mask), &AgreementConfig::default()).expect("one size");
+            });
+        });
+        let association = Association {
+            camera,
+            mask: &view.mask,
+            fields: &fields,
+            flow_floor_px: 0.25,
+            min_coverage: 1e-3,
+            min_hits: 2,
+        };
+        group.bench_function(BenchmarkId::new("association", scale.label()), |b| {
+            associate(b, &association, &whole);
+        });
+        group.finish();
+    }
+}
+
+fn associate(b: &mut criterion::Bencher, association: &Association, scene: &Scene) {
+    let n = scene.previous.len();
+    let mut columns = vec![(vec![DVec2::ZERO; n], vec![0.0; n]); association.fields.len()];
+    let mut scratch = AssociationScratch::default();
+    b.iter(|| {
+        let mut out: Vec<Observed> =
+            columns.iter_mut().map(|(targets, weights)| Observed { targets, weights }).collect();
+        association.observe(&scene.joint, &scene.previous, &mut out, &mut scratch);
+    });
+}
+
+fn observations(scale: Scale, trackers: usize) -> Simulation {
+    let Scale { views, moving: gaussians, .. } = scale;
     let scenario = Scenario::TwoSpeeds;
     simulate(&Recipe { scenario, views, gaussians, trackers, smooth: 0.0, ..Recipe::default() })
 }
@@ -24,26 +82,26 @@ fn estimate(scene: &Simulation, tracker: usize, out: &mut Estimates) {
         .expect("the shapes match");
 }
 
-/// One tracker.
+/// One tracker. Floor: 24 bytes for each Gaussian and view; for each observation about 11 sums of 60 operations.
 fn triangulation(c: &mut Criterion) {
     let mut group = c.benchmark_group("triangulation_one_tracker");
     group.sample_size(10);
-    for (name, views, gaussians) in SIZES {
-        let scene = scene(views, gaussians, 1);
+    for scale in SCALES {
+        let scene = observations(scale, 1);
         let mut out = Estimates::default();
         group.throughput(Throughput::Elements(scene.truth.len() as u64));
-        let id = BenchmarkId::new(name, format!("{views}views_{gaussians}gaussians"));
-        group.bench_function(id, |b| b.iter(|| estimate(&scene, 0, black_box(&mut out))));
+        group.bench_function(scale.label(), |b| b.iter(|| estimate(&scene, 0, black_box(&mut out))));
     }
     group.finish();
 }
 
-/// Three trackers; the estimates of ten views serve both sizes.
+/// Three trackers; the estimates of ten views serve both sizes. Floor of the literal one: three inverses of symmetric
+/// 3x3 matrices and 300 bytes a Gaussian.
 fn fusion(c: &mut Criterion) {
     let mut group = c.benchmark_group("fusion_three_trackers");
     group.sample_size(10);
-    for (name, _, gaussians) in SIZES {
-        let scene = scene(10, gaussians, 3);
+    for scale in SCALES {
+        let scene = observations(Scale { views: 10, ..scale }, 3);
         let mut estimates = vec![Estimates::default(); 3];
         estimates.iter_mut().enumerate().for_each(|(l, out)| estimate(&scene, l, out));
         let covariances = vec![DMat3::ZERO; scene.previous.len()];
@@ -59,7 +117,8 @@ fn fusion(c: &mut Criterion) {
                 q_floor_m: 0.01,
             };
             let fuser = InformationFuser { config };
-            group.bench_function(BenchmarkId::new(format!("{name}_{kind}"), gaussians), |b| {
+            let id = BenchmarkId::new(kind, format!("{}_{}gaussians", scale.name, scale.moving));
+            group.bench_function(id, |b| {
                 b.iter(|| black_box(fuser.fuse(&input).expect("the columns match")));
             });
         }
@@ -67,33 +126,26 @@ fn fusion(c: &mut Criterion) {
     group.finish();
 }
 
-/// One view: 400 tracks inside a mask of 5 % of the image, then the agreement of three fields.
-fn motion_fields(c: &mut Criterion) {
-    for (width, height) in [(320, 180), (1920, 1080)] {
-        let size = ImageSize { width, height };
-        let inside = |p: usize| u8::from((p % width) * 9 / width == 4 && (p / width) * 9 / height < 8);
-        let mask = Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte a pixel");
-        let masked: Vec<usize> = (0..size.pixels()).filter(|&p| inside(p) != 0).collect();
-        let mut tracks = TrackSet::default();
-        for &p in masked.iter().step_by((masked.len() / 400).max(1)) {
-            let src = [(p % width) as f32 + 0.5, (p / width) as f32 + 0.5];
-            tracks.src.push(src);
-            tracks.tgt.push([src[0] + 20.0, src[1] + 1.0]);
-            tracks.visibility.push(1.0);
-        }
-        let mut field = DenseMotion::unknown(size);
-        let mut group = c.benchmark_group("motion_fields_one_view");
-        group.throughput(Throughput::Elements(masked.len() as u64));
-        group.bench_function(BenchmarkId::new("densify", format!("{width}x{height}")), |b| {
-            b.iter(|| densify_view(&VoronoiConfig::default(), &tracks, &mask, &mut field).expect("valid"));
+/// In how many masks each place lies, and growing the masks. Floor: a projection of 20 operations and one byte read at
+/// a random place for each Gaussian and view.
+fn validation(c: &mut Criterion) {
+    let mut group = c.benchmark_group("validation");
+    group.sample_size(10);
+    for scale in SCALES {
+        // Every view sees the cars much as the first four do.
+        let scene = scale.scene(4);
+        let view = |v: usize| -> (_, &SceneView) { (scene.cameras[v % 4], &scene.views[v % 4]) };
+        let (cameras, masks): (Vec<_>, Vec<Mask>) =
+            (0..scale.views).map(view).map(|(camera, view)| (camera, view.mask_now.clone())).unzip();
+        group.bench_function(BenchmarkId::new("count", scale.label()), |b| {
+            b.iter(|| black_box(count_views(&scene.truth, &cameras, &masks).expect("one size")));
         });
-        let mut fields = vec![field.clone(); 3];
-        group.bench_function(BenchmarkId::new("agreement", format!("{width}x{height}")), |b| {
-            b.iter(|| agreement(&mut fields, None, &AgreementConfig::default()).expect("one size"));
+        group.bench_function(BenchmarkId::new("grow_one_mask", scale.label()), |b| {
+            b.iter(|| black_box(masks[0].dilated(2)));
         });
-        group.finish();
     }
+    group.finish();
 }
 
-criterion_group!(benches, triangulation, fusion, motion_fields);
+criterion_group!(benches, one_view, triangulation, fusion, validation);
 criterion_main!(benches);

@@ -33,6 +33,7 @@
 mod config;
 mod normal;
 mod passes;
+mod real;
 mod robust;
 mod solve;
 mod views;

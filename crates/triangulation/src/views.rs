@@ -1,12 +1,12 @@
 //! The views of one Gaussian, in blocks of a fixed number of lanes, and what is summed over them.
 
 use crate::normal::Normal;
-use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass};
+use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass, TruncatedPass};
 use ffgs_core::{Camera, Observations};
 use glam::{DMat3, DVec2, DVec3};
 use pulp::Arch;
 
-/// Views a block: one AVX-512 register of f64, two of AVX2. The same everywhere, so that sums round the same way.
+/// Views a block: one AVX-512 register of f64, two of AVX2.
 pub const LANES: usize = 8;
 
 /// One value of each view of a block.
@@ -44,18 +44,6 @@ impl Block {
         target: [[0.0; LANES]; 2],
         weight: [0.0; LANES],
     };
-
-    /// Point of a lane's camera coordinates (m).
-    #[inline(always)]
-    pub fn in_camera(&self, k: usize, p: [f64; 3]) -> [f64; 3] {
-        let r = &self.rotation;
-        let o = &self.origin_in_camera;
-        [
-            r[0][k] * p[0] + r[1][k] * p[1] + r[2][k] * p[2] + o[0][k],
-            r[3][k] * p[0] + r[4][k] * p[1] + r[5][k] * p[2] + o[1][k],
-            r[6][k] * p[0] + r[7][k] * p[1] + r[8][k] * p[2] + o[2][k],
-        ]
-    }
 }
 
 /// What of a camera every Gaussian needs.
@@ -201,10 +189,8 @@ impl Views {
     }
 
     /// `sum w min(r^2, cut2)`.
-    pub fn truncated_cost(&mut self, point: DVec3, cut2: f64) -> f64 {
-        let Self { arch, blocks, errors, places, .. } = self;
-        arch.dispatch(ErrorPass { blocks, point: point.to_array(), errors });
-        places.iter().map(|&(b, k)| blocks[b].weight[k] * errors[b][k].min(cut2)).sum()
+    pub fn truncated_cost(&self, point: DVec3, cut2: f64) -> f64 {
+        self.arch.dispatch(TruncatedPass { blocks: &self.blocks, point: point.to_array(), cut2 })
     }
 
     /// Weighted squared distances to the rays in pixels, infinite behind a camera.

@@ -1,4 +1,4 @@
-use crate::kernel_mean::{Candidate, KernelMean, LANES, Means};
+use crate::kernel_mean::{Candidate, KernelMean, LANES};
 use crate::normalised::{Normalisation, NormalisedTracks, RowBand, bands, check_sigma, prepare};
 use crate::{IntegerCentredTracks, MotionError, MotionInterpolator};
 use ffgs_core::{DenseMotion, ImageSize, Mask};
@@ -6,7 +6,6 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use pulp::Arch;
 use rayon::prelude::*;
 use std::num::NonZero;
-use std::ops::Range;
 
 /// Gaussian-weighted K nearest neighbours: Algorithm 2 of the FastFlowGS supplement (after DOT).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +25,8 @@ impl Default for GaussianKnn {
 
 /// Side of the pixel tiles that share one tree query (px). Neighbouring pixels have nearly the same neighbours, so a
 /// tile fetches a superset once: 64 pixels cost two queries and two allocations.
-const TILE: usize = LANES;
+const TILE: usize = 8;
+const _: () = assert!(TILE * TILE == LANES);
 
 impl MotionInterpolator for GaussianKnn {
     fn densify_integer_centred(
@@ -71,34 +71,29 @@ impl Field<'_> {
     fn fill_band(&self, band: &mut RowBand) {
         let arch = Arch::new();
         let mut nearest = vec![[0.0; LANES]; self.k.get()];
+        let mut pixels = Vec::with_capacity(LANES);
         for first_column in (0..band.width).step_by(TILE) {
             let columns = first_column..(first_column + TILE).min(band.width);
-            let wanted = |row: usize, column: usize| self.wanted(column, band.first_row + row);
-            let rows: Vec<usize> =
-                (0..band.rows()).filter(|&r| columns.clone().any(|c| wanted(r, c))).collect();
-            let (Some(&top), Some(&bottom)) = (rows.first(), rows.last()) else { continue };
-            let corners = [[columns.start, top], [columns.end - 1, bottom]];
+            let wanted = |&(row, column): &(usize, usize)| self.wanted(column, band.first_row + row);
+            pixels.clear();
+            pixels.extend((0..band.rows()).flat_map(|r| columns.clone().map(move |c| (r, c))).filter(wanted));
+            let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { continue };
+            let corners = [[columns.start, first.0], [columns.end - 1, last.0]];
             let candidates = self.candidates(corners.map(|[c, r]| self.point(c, band.first_row + r)));
-            for row in rows {
-                let points: [[f64; 2]; LANES] =
-                    std::array::from_fn(|lane| self.point(first_column + lane, band.first_row + row));
-                let means = arch.dispatch(KernelMean {
-                    x: points.map(|p| p[0]),
-                    y: points[0][1],
-                    candidates: &candidates,
-                    half_precision: self.half_precision,
-                    nearest: &mut nearest,
-                });
-                self.store(band, row, columns.clone(), &means);
+            let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+            for (k, &(row, column)) in pixels.iter().enumerate() {
+                [x[k], y[k]] = self.point(column, band.first_row + row);
             }
-        }
-    }
-
-    fn store(&self, band: &mut RowBand, row: usize, columns: Range<usize>, means: &Means) {
-        for (lane, column) in columns.enumerate() {
-            if self.wanted(column, band.first_row + row) {
-                let value = [0, 1, 2].map(|v| means.values[v][lane]);
-                band.set(column, row, value, means.confidence[lane]);
+            let means = arch.dispatch(KernelMean {
+                x: &x,
+                y: &y,
+                pixels: pixels.len(),
+                candidates: &candidates,
+                half_precision: self.half_precision,
+                nearest: &mut nearest,
+            });
+            for (k, &(row, column)) in pixels.iter().enumerate() {
+                band.set(column, row, [0, 1, 2].map(|v| means.values[v][k]), means.confidence[k]);
             }
         }
     }

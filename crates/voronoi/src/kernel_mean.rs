@@ -1,9 +1,12 @@
-//! The inner loop of [`crate::GaussianKnn`]: pixels of a row side by side, one a lane.
+//! The inner loop of [`crate::GaussianKnn`]: the pixels of a tile side by side. Plain loops over a fixed number of pixels,
+//! long enough that the compiler turns them into vectors of the dispatched instruction set rather than unrolling them.
 
 use pulp::{Simd, WithSimd};
 
-/// Pixels at once: one AVX-512 register of f64.
-pub const LANES: usize = 8;
+/// Pixels at once: a tile of 8 x 8.
+pub const LANES: usize = 64;
+/// Pixels are worked on in steps of so many: one AVX-512 register of f64.
+const STEP: usize = 8;
 
 /// One value of each pixel.
 pub type Column = [f64; LANES];
@@ -19,8 +22,11 @@ pub struct Candidate {
 /// `exp(-d_1^2 half_precision)`. Weights are relative to the nearest, whose own weight is then 1: the sum can neither
 /// underflow nor be 0 / 0 however far the tracks are.
 pub struct KernelMean<'a> {
-    pub x: Column,
-    pub y: f64,
+    /// Places of the pixels (normalised).
+    pub x: &'a Column,
+    pub y: &'a Column,
+    /// How many of them count.
+    pub pixels: usize,
     /// At least K; of equally distant ones the first count.
     pub candidates: &'a [Candidate],
     pub half_precision: f64,
@@ -39,33 +45,37 @@ impl WithSimd for KernelMean<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Means {
-        let Self { x, y, candidates, half_precision, nearest } = self;
-        sort_nearest(&x, y, candidates, nearest);
+        let Self { x, y, pixels, candidates, half_precision, nearest } = self;
+        let n = pixels.next_multiple_of(STEP).min(LANES);
+        let (x, y) = (&x[..n], &y[..n]);
+        sort_nearest(x, y, candidates, nearest);
         let (first, last) = (nearest[0], nearest[nearest.len() - 1]);
         // How many of those at the distance of the K-th still count.
         let mut ties = [0.0; LANES];
         for slot in nearest.iter() {
-            for k in 0..LANES {
+            for k in 0..n {
                 ties[k] += if slot[k] < last[k] { 0.0 } else { 1.0 };
             }
         }
         let (mut sums, mut total) = ([[0.0; LANES]; 3], [0.0; LANES]);
         for candidate in candidates {
-            let [px, py] = candidate.point;
-            for k in 0..LANES {
-                let d2 = squared_distance(x[k] - px, y - py);
+            let ([px, py], [a, b, c]) = (candidate.point, candidate.values);
+            let [sum_a, sum_b, sum_c] = &mut sums;
+            for k in 0..n {
+                let d2 = squared_distance(x[k] - px, y[k] - py);
                 let tie = if d2 == last[k] { 1.0 } else { 0.0 };
-                let counts = if d2 < last[k] { 1.0 } else { tie * if ties[k] > 0.0 { 1.0 } else { 0.0 } };
+                let open = if ties[k] > 0.0 { tie } else { 0.0 };
+                let counts = if d2 < last[k] { 1.0 } else { open };
                 ties[k] -= tie;
-                let weight = counts * exp_negative((d2 - first[k]) * half_precision);
+                let weight = counts * exp_negative((d2 - first[k]).max(0.0) * half_precision);
                 total[k] += weight;
-                for v in 0..3 {
-                    sums[v][k] += weight * candidate.values[v];
-                }
+                sum_a[k] += weight * a;
+                sum_b[k] += weight * b;
+                sum_c[k] += weight * c;
             }
         }
         let mut confidence = [0.0; LANES];
-        for k in 0..LANES {
+        for k in 0..n {
             for sum in &mut sums {
                 sum[k] /= total[k];
             }
@@ -77,19 +87,20 @@ impl WithSimd for KernelMean<'_> {
 
 /// The K least squared distances of each pixel, ascending.
 #[inline(always)]
-fn sort_nearest(x: &Column, y: f64, candidates: &[Candidate], nearest: &mut [Column]) {
+fn sort_nearest(x: &[f64], y: &[f64], candidates: &[Candidate], nearest: &mut [Column]) {
     nearest.fill([f64::INFINITY; LANES]);
+    let mut distances = [0.0; LANES];
     for candidate in candidates {
         let [px, py] = candidate.point;
-        let mut d2 = [0.0; LANES];
-        for k in 0..LANES {
-            d2[k] = squared_distance(x[k] - px, y - py);
+        let d2 = &mut distances[..x.len()];
+        for k in 0..x.len() {
+            d2[k] = squared_distance(x[k] - px, y[k] - py);
         }
         for slot in nearest.iter_mut() {
-            for k in 0..LANES {
-                let (low, high) = if d2[k] < slot[k] { (d2[k], slot[k]) } else { (slot[k], d2[k]) };
-                slot[k] = low;
-                d2[k] = high;
+            for (d, s) in d2.iter_mut().zip(slot) {
+                let (low, high) = if *d < *s { (*d, *s) } else { (*s, *d) };
+                *s = low;
+                *d = high;
             }
         }
     }
@@ -155,12 +166,13 @@ mod tests {
         ];
         let mut nearest = [[0.0; LANES]; 2];
         let mean = KernelMean {
-            x: [0.0; LANES],
-            y: 0.0,
+            x: &[0.0; LANES],
+            y: &[0.0; LANES],
+            pixels: 3,
             candidates: &candidates,
             half_precision: 1.0,
             nearest: &mut nearest,
         };
-        assert_eq!(pulp::Arch::new().dispatch(mean).values[0], [1.5; LANES]);
+        assert_eq!(pulp::Arch::new().dispatch(mean).values[0][..3], [1.5; 3]);
     }
 }

@@ -43,7 +43,8 @@ impl NormalisedTracks {
 
 /// Clears `out` and checks the size of `region`.
 pub fn prepare(size: ImageSize, region: Option<&Mask>, out: &mut DenseMotion) -> Result<(), MotionError> {
-    out.reset(size);
+    // Fresh zeroed memory costs only the pages that the region touches; clearing would touch all.
+    *out = DenseMotion::unknown(size);
     match region {
         Some(mask) if mask.size() != size => Err(MotionError::Size { expected: size, found: mask.size() }),
         _ => Ok(()),
