@@ -1,4 +1,5 @@
 use crate::GpuError;
+use crate::device::MEMORY_PERCENT;
 use std::fmt;
 use std::path::Path;
 
@@ -56,12 +57,15 @@ impl fmt::Display for AdapterReport {
     }
 }
 
-pub(crate) fn instance() -> wgpu::Instance {
+/// `percent`: share of the memory budget beyond which buffers are refused.
+pub(crate) fn instance(percent: u8) -> wgpu::Instance {
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     // Indirect dispatches are bounded by the kernels that write them: no second check on the device.
     let flags = wgpu::InstanceFlags::empty();
     let plain = wgpu::InstanceDescriptor::new_without_display_handle();
-    wgpu::Instance::new(wgpu::InstanceDescriptor { backends, flags, ..plain })
+    let memory_budget_thresholds =
+        wgpu::MemoryBudgetThresholds { for_resource_creation: Some(percent), ..Default::default() };
+    wgpu::Instance::new(wgpu::InstanceDescriptor { backends, flags, memory_budget_thresholds, ..plain })
 }
 
 pub(crate) fn all(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
@@ -74,7 +78,7 @@ const GPU_DEVICE_FILES: [&str; 5] = ["/dev/dri", "/dev/nvidiactl", "/dev/dxg", "
 
 /// Every adapter, in the order of `gpu:N`.
 pub fn adapters() -> Vec<AdapterReport> {
-    all(&instance()).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
+    all(&instance(MEMORY_PERCENT)).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
 }
 
 /// The adapter that `--device auto` takes; `None` where only the CPU or software Vulkan is at hand.

@@ -1,3 +1,4 @@
+use crate::profile::Clock;
 use crate::{Buffer, Gpu, Kernel};
 
 /// Workgroups of a dispatch.
@@ -21,24 +22,30 @@ pub struct Commands<'a> {
     gpu: &'a Gpu,
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
+    pub(crate) clock: Option<Clock>,
 }
 
 impl<'a> Commands<'a> {
     pub(crate) fn new(gpu: &'a Gpu, encoder: wgpu::CommandEncoder) -> Self {
-        Self { gpu, encoder, pass: None }
+        Self { gpu, encoder, pass: None, clock: None }
     }
 
     /// Runs `kernel` on `buffers`, in the order of its bindings. Nothing happens for zero groups.
     pub fn run(&mut self, kernel: &Kernel, buffers: &[&Buffer], groups: Groups) {
-        let Self { gpu, encoder, pass } = self;
+        let Self { gpu, encoder, pass, clock } = self;
         let [x, y] = match groups {
             Groups::Direct(0) => return,
             Groups::Direct(count) => grid(count),
             Groups::Indirect(..) => [0; 2],
         };
         let (pipeline, bindings) = gpu.bound(kernel, buffers);
+        let timestamp_writes = clock.as_mut().and_then(|clock| clock.next(kernel.name));
+        if timestamp_writes.is_some() {
+            *pass = None;
+        }
         let pass = pass.get_or_insert_with(|| {
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
+            let descriptor = wgpu::ComputePassDescriptor { label: Some(kernel.name), timestamp_writes };
+            encoder.begin_compute_pass(&descriptor).forget_lifetime()
         });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
@@ -63,6 +70,12 @@ impl<'a> Commands<'a> {
     pub fn copy(&mut self, from: &Buffer, to: &Buffer, bytes: u64) {
         self.pass = None;
         self.encoder.copy_buffer_to_buffer(&from.0, 0, &to.0, 0, bytes);
+    }
+
+    /// Writes the first `count` timestamps of a set to a buffer.
+    pub(crate) fn resolve(&mut self, queries: &wgpu::QuerySet, count: u32, to: &Buffer) {
+        self.pass = None;
+        self.encoder.resolve_query_set(queries, 0..count, &to.0, 0);
     }
 
     pub(crate) fn finish(self) -> wgpu::CommandBuffer {

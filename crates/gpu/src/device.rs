@@ -3,6 +3,7 @@ use crate::buffer::{Buffer, checked_size};
 use crate::{Commands, GpuError, Kernel};
 use bytemuck::Pod;
 use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -10,6 +11,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const KEPT_BINDINGS: usize = 4096;
 /// Submissions that may wait on the device; more only hold memory.
 const IN_FLIGHT: usize = 8;
+
+/// Share of the memory budget that may be used; beyond it a driver starts to move buffers out, or fails.
+pub(crate) const MEMORY_PERCENT: u8 = 95;
 
 /// Bytes that crossed between host and device since the device was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,8 +26,8 @@ pub struct Traffic {
 
 /// One opened adapter.
 pub struct Gpu {
-    device: wgpu::Device,
-    queue: wgpu::Queue,
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
     report: AdapterReport,
     limit: u64,
     fault: Arc<Mutex<Option<GpuError>>>,
@@ -32,13 +36,20 @@ pub struct Gpu {
     submissions: Mutex<Vec<wgpu::SubmissionIndex>>,
     up: AtomicU64,
     down: AtomicU64,
+    /// Submissions before a test takes the device away.
+    pub(crate) left: Mutex<Option<usize>>,
 }
 
 impl Gpu {
     /// Opens adapter `index` of [`crate::adapters`], or the best one (hardware before software).
     pub fn open(index: Option<usize>) -> Result<Self, GpuError> {
-        let (adapter, report) = adapter::choose(adapter::all(&adapter::instance()), index)?;
-        let wanted = wgpu::Features::SUBGROUP & adapter.features();
+        Self::open_within(index, MEMORY_PERCENT)
+    }
+
+    /// The same, with memory refused beyond `percent` of what the driver says the program may use, where it says so.
+    pub fn open_within(index: Option<usize>, percent: u8) -> Result<Self, GpuError> {
+        let (adapter, report) = adapter::choose(adapter::all(&adapter::instance(percent)), index)?;
+        let wanted = (wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY) & adapter.features();
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("ffgs"),
             required_features: wanted,
@@ -71,7 +82,10 @@ impl Gpu {
         let keep = fault.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| remember(&keep, described(&error))));
         let keep = fault.clone();
-        device.set_device_lost_callback(move |_, message| remember(&keep, GpuError::Lost(message)));
+        device.set_device_lost_callback(move |reason, message| {
+            let why = if message.is_empty() { format!("{reason:?}").to_lowercase() } else { message };
+            remember(&keep, GpuError::Lost(why));
+        });
         Self {
             limit: report.max_binding,
             device,
@@ -83,6 +97,7 @@ impl Gpu {
             submissions: Mutex::default(),
             up: AtomicU64::new(0),
             down: AtomicU64::new(0),
+            left: Mutex::new(None),
         }
     }
 
@@ -128,7 +143,7 @@ impl Gpu {
         Ok(buffer)
     }
 
-    fn allocate(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
+    pub(crate) fn allocate(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
         let size = checked_size(what, bytes, self.limit)?;
         let usage = usage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
         let label = Some(what);
@@ -162,6 +177,7 @@ impl Gpu {
 
     /// Hands work to the device. Returns without waiting for it, unless much is in flight.
     pub fn submit(&self, commands: Commands) -> Result<(), GpuError> {
+        self.count_down();
         let index = self.queue.submit([commands.finish()]);
         let mut waiting = lock(&self.submissions);
         waiting.push(index);
@@ -206,13 +222,25 @@ impl Gpu {
     }
 
     fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
-        let polled = self.device.poll(wgpu::PollType::Wait { submission_index, timeout: None });
-        polled.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
+        self.poll(wgpu::PollType::Wait { submission_index, timeout: None })
+    }
+
+    fn poll(&self, poll: wgpu::PollType) -> Result<(), GpuError> {
+        // wgpu panics when the driver reports the loss to this very call.
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(poll))) {
+            Ok(polled) => polled.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string())),
+            Err(_) => Err(GpuError::Lost("while waiting for it".to_owned())),
+        }
     }
 
     /// The first fault since the device was opened; there is no way back from one.
     fn check(&self) -> Result<(), GpuError> {
-        lock(&self.fault).clone().map_or(Ok(()), Err)
+        let known = || lock(&self.fault).clone();
+        if let Some(GpuError::Refused(_)) = known() {
+            // On a lost device every command is refused, and wgpu tells of the loss only when it is polled.
+            self.poll(wgpu::PollType::Poll)?;
+        }
+        known().map_or(Ok(()), Err)
     }
 
     /// Lets go of buffers that only cached bindings still hold.
@@ -273,12 +301,17 @@ impl Gpu {
 }
 
 /// A panic elsewhere leaves these tables as good as before.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Keeps the first fault; but a loss explains the refusals before it.
 fn remember(fault: &Mutex<Option<GpuError>>, error: GpuError) {
-    lock(fault).get_or_insert(error);
+    let mut kept = lock(fault);
+    match (&*kept, &error) {
+        (None, _) | (Some(GpuError::Refused(_)), GpuError::Lost(_)) => *kept = Some(error),
+        _ => {}
+    }
 }
 
 fn described(error: &wgpu::Error) -> GpuError {

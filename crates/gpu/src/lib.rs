@@ -30,6 +30,7 @@ mod commands;
 mod device;
 mod error;
 mod kernel;
+mod profile;
 pub mod reflection;
 
 pub use adapter::{AdapterReport, adapters, hardware_adapter};
@@ -38,3 +39,4 @@ pub use commands::{Commands, Groups};
 pub use device::{Gpu, Traffic};
 pub use error::GpuError;
 pub use kernel::Kernel;
+pub use profile::KernelTime;

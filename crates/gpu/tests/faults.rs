@@ -47,3 +47,90 @@ fn an_adapter_that_does_not_exist_is_named() {
     let error = Gpu::open(Some(count)).err().unwrap();
     assert_eq!(error, GpuError::NoSuchAdapter { index: count, count });
 }
+
+const COUNT: Kernel = Kernel {
+    name: "count",
+    source: &["@group(0) @binding(0) var<storage, read_write> a: array<u32>;
+        @compute @workgroup_size(1) fn count() { a[0] += 1u; }"],
+    subgroups: false,
+};
+
+/// Submissions until the first error, which must say that the device is gone.
+fn steps_until_lost(gpu: &Gpu) -> usize {
+    let values = gpu.upload("values", &[0_u32]).unwrap();
+    for step in 0..100 {
+        let mut commands = gpu.commands();
+        commands.run(&COUNT, &[&values], Groups::Direct(1));
+        if let Err(error) = gpu.submit(commands).and_then(|()| gpu.download::<u32>(&values, 1)) {
+            assert!(matches!(error, GpuError::Lost(_)), "{error}");
+            assert!(error.to_string().contains("--resume"), "{error}");
+            return step;
+        }
+    }
+    panic!("the device was never lost");
+}
+
+#[test]
+fn a_lost_device_is_an_error_of_the_next_call_and_of_all_after() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    gpu.lose_after(3);
+    assert_eq!(steps_until_lost(&gpu), 3);
+    assert_eq!(steps_until_lost_again(&gpu), 0);
+    assert!(matches!(gpu.finish(), Err(GpuError::Lost(_))));
+}
+
+/// Everything a caller may still try; none of it panics.
+fn steps_until_lost_again(gpu: &Gpu) -> usize {
+    let other = gpu.buffer("more", 64);
+    assert!(other.is_ok() || matches!(other, Err(GpuError::Lost(_))));
+    gpu.release_unused();
+    steps_until_lost(gpu)
+}
+
+#[test]
+fn a_device_lost_between_submissions_that_nobody_waits_for_is_found() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let values = gpu.upload("values", &[0_u32]).unwrap();
+    gpu.lose_after(2);
+    let step = || {
+        let mut commands = gpu.commands();
+        commands.run(&COUNT, &[&values], Groups::Direct(1));
+        gpu.submit(commands)
+    };
+    let failed = (0..100).find_map(|_| step().err());
+    assert!(matches!(failed, Some(GpuError::Lost(_))), "{failed:?}");
+}
+
+#[test]
+fn memory_beyond_the_budget_is_refused_and_the_device_lives_on() {
+    if Gpu::for_test().is_none() {
+        return;
+    }
+    let gpu = Gpu::open_within(None, 1).unwrap();
+    let bytes = gpu.report().max_binding.min(128 << 20);
+    // Not written to: the memory is promised, not used.
+    let mut kept = Vec::new();
+    let refused = (0..64).find_map(|_| gpu.buffer("much", bytes).map(|b| kept.push(b)).err());
+    if let Some(error) = refused {
+        assert_eq!(error, GpuError::OutOfMemory);
+    } else {
+        eprintln!("not seen: this driver names no budget");
+    }
+    drop(kept);
+    let values = gpu.upload("values", &[7_u32]).unwrap();
+    assert_eq!(gpu.download::<u32>(&values, 1).unwrap(), [7]);
+}
+
+#[test]
+fn kernels_are_timed_in_their_order() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let values = gpu.upload("values", &[0_u32]).unwrap();
+    let Some(mut commands) = gpu.timed_commands() else { return eprintln!("no timestamps here") };
+    commands.run(&COUNT, &[&values], Groups::Direct(1));
+    commands.run(&COUNT, &[&values], Groups::Direct(1));
+    let times = gpu.submit_timed(commands).unwrap();
+    assert_eq!(times.iter().map(|t| t.kernel).collect::<Vec<_>>(), ["count", "count"]);
+    assert!(times.iter().all(|t| t.seconds > 0.0 && t.seconds < 10.0), "{times:?}");
+    assert_eq!(gpu.download::<u32>(&values, 1).unwrap(), [2]);
+    assert_eq!(gpu.submit_timed(gpu.commands()).unwrap(), []);
+}

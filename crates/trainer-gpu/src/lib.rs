@@ -10,6 +10,7 @@ mod first_frame;
 mod kernels;
 mod layout;
 mod optimiser;
+mod probe;
 #[cfg(test)]
 mod shader_tests;
 mod sky;
@@ -21,3 +22,4 @@ mod workspace;
 pub use background_lanes::{train_sky, train_static};
 pub use dynamic_lane::train_dynamic;
 pub use first_frame::train_first_frame;
+pub use probe::{Counts, Floor, Part, Probe};
