@@ -1,5 +1,4 @@
 use crate::GpuError;
-use crate::device::MEMORY_PERCENT;
 use std::fmt;
 use std::path::Path;
 
@@ -57,14 +56,17 @@ impl fmt::Display for AdapterReport {
     }
 }
 
-/// `percent`: share of the memory budget beyond which buffers are refused.
-pub(crate) fn instance(percent: u8) -> wgpu::Instance {
+/// Share of what the driver says the program may use beyond which buffers are refused, where it says so: further on it
+/// moves buffers out of the device's memory, or fails.
+const MEMORY_PERCENT: u8 = 95;
+
+pub(crate) fn instance() -> wgpu::Instance {
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     // Indirect dispatches are bounded by the kernels that write them: no second check on the device.
     let flags = wgpu::InstanceFlags::empty();
     let plain = wgpu::InstanceDescriptor::new_without_display_handle();
     let memory_budget_thresholds =
-        wgpu::MemoryBudgetThresholds { for_resource_creation: Some(percent), ..Default::default() };
+        wgpu::MemoryBudgetThresholds { for_resource_creation: Some(MEMORY_PERCENT), ..Default::default() };
     wgpu::Instance::new(wgpu::InstanceDescriptor { backends, flags, memory_budget_thresholds, ..plain })
 }
 
@@ -78,7 +80,7 @@ const GPU_DEVICE_FILES: [&str; 5] = ["/dev/dri", "/dev/nvidiactl", "/dev/dxg", "
 
 /// Every adapter, in the order of `gpu:N`.
 pub fn adapters() -> Vec<AdapterReport> {
-    all(&instance(MEMORY_PERCENT)).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
+    all(&instance()).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
 }
 
 /// The adapter that `--device auto` takes; `None` where only the CPU or software Vulkan is at hand.

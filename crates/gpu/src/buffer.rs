@@ -1,13 +1,74 @@
 use crate::GpuError;
+use std::hash::{Hash, Hasher};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Memory on the device. Cloning shares it.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Buffer(pub(crate) wgpu::Buffer);
+#[derive(Clone, Debug)]
+pub struct Buffer(pub(crate) wgpu::Buffer, Arc<Share>);
 
 impl Buffer {
     /// Size in bytes.
     pub fn bytes(&self) -> u64 {
         self.0.size()
+    }
+}
+
+impl PartialEq for Buffer {
+    fn eq(&self, other: &Self) -> bool {
+        self.0 == other.0
+    }
+}
+
+impl Eq for Buffer {}
+
+impl Hash for Buffer {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.0.hash(state);
+    }
+}
+
+/// What the buffers of a device hold.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    /// Bytes that may be held.
+    pub limit: u64,
+    held: Arc<AtomicU64>,
+}
+
+impl Memory {
+    pub fn new(limit: u64) -> Self {
+        Self { limit, held: Arc::default() }
+    }
+
+    /// Sets `bytes` aside; they are free again when the share is dropped.
+    pub fn take(&self, bytes: u64) -> Result<Share, GpuError> {
+        let share = Share { bytes, held: self.held.clone() };
+        let before = self.held.fetch_add(bytes, Ordering::Relaxed);
+        if before.saturating_add(bytes) <= self.limit { Ok(share) } else { Err(GpuError::OutOfMemory) }
+    }
+
+    pub fn held(&self) -> u64 {
+        self.held.load(Ordering::Relaxed)
+    }
+}
+
+/// Bytes set aside for one buffer.
+#[derive(Debug)]
+pub(crate) struct Share {
+    bytes: u64,
+    held: Arc<AtomicU64>,
+}
+
+impl Share {
+    pub fn of(self, buffer: wgpu::Buffer) -> Buffer {
+        Buffer(buffer, Arc::new(self))
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        self.held.fetch_sub(self.bytes, Ordering::Relaxed);
     }
 }
 
@@ -26,6 +87,17 @@ pub(crate) fn checked_size(what: &str, bytes: u64, limit: u64) -> Result<u64, Gp
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn memory_is_refused_beyond_the_limit_and_free_when_dropped() {
+        let memory = Memory::new(100);
+        let most = memory.take(90).unwrap();
+        assert_eq!(memory.take(11).err(), Some(GpuError::OutOfMemory));
+        assert_eq!(memory.held(), 90);
+        drop(most);
+        assert_eq!(memory.held(), 0);
+        assert!(memory.take(100).is_ok());
+    }
 
     #[test]
     fn sizes_are_whole_words_and_bounded() {

@@ -1,5 +1,5 @@
 use crate::adapter::{self, AdapterReport};
-use crate::buffer::{Buffer, checked_size};
+use crate::buffer::{Buffer, Memory, checked_size};
 use crate::{Commands, GpuError, Kernel};
 use bytemuck::Pod;
 use std::collections::HashMap;
@@ -11,9 +11,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const KEPT_BINDINGS: usize = 4096;
 /// Submissions that may wait on the device; more only hold memory.
 const IN_FLIGHT: usize = 8;
-
-/// Share of the memory budget that may be used; beyond it a driver starts to move buffers out, or fails.
-pub(crate) const MEMORY_PERCENT: u8 = 95;
 
 /// Bytes that crossed between host and device since the device was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,6 +27,7 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     report: AdapterReport,
     limit: u64,
+    memory: Memory,
     fault: Arc<Mutex<Option<GpuError>>>,
     pipelines: Mutex<HashMap<&'static str, wgpu::ComputePipeline>>,
     bindings: Mutex<HashMap<(&'static str, Vec<Buffer>), wgpu::BindGroup>>,
@@ -43,12 +41,7 @@ pub struct Gpu {
 impl Gpu {
     /// Opens adapter `index` of [`crate::adapters`], or the best one (hardware before software).
     pub fn open(index: Option<usize>) -> Result<Self, GpuError> {
-        Self::open_within(index, MEMORY_PERCENT)
-    }
-
-    /// The same, with memory refused beyond `percent` of what the driver says the program may use, where it says so.
-    pub fn open_within(index: Option<usize>, percent: u8) -> Result<Self, GpuError> {
-        let (adapter, report) = adapter::choose(adapter::all(&adapter::instance(percent)), index)?;
+        let (adapter, report) = adapter::choose(adapter::all(&adapter::instance()), index)?;
         let wanted = (wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY) & adapter.features();
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("ffgs"),
@@ -88,6 +81,7 @@ impl Gpu {
         });
         Self {
             limit: report.max_binding,
+            memory: Memory::new(u64::MAX),
             device,
             queue,
             report,
@@ -106,6 +100,18 @@ impl Gpu {
     pub fn without_subgroups(mut self) -> Self {
         self.report.subgroups = None;
         self
+    }
+
+    /// The same device, on which all buffers together hold at most so many bytes: more is [`GpuError::OutOfMemory`].
+    #[must_use]
+    pub fn with_memory_limit(mut self, bytes: u64) -> Self {
+        self.memory.limit = bytes;
+        self
+    }
+
+    /// Bytes that buffers hold now.
+    pub fn memory_held(&self) -> u64 {
+        self.memory.held()
     }
 
     /// The adapter.
@@ -146,6 +152,7 @@ impl Gpu {
     pub(crate) fn allocate(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
         let size = checked_size(what, bytes, self.limit)?;
         let usage = usage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+        let share = self.memory.take(size)?;
         let label = Some(what);
         let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -154,7 +161,7 @@ impl Gpu {
             usage,
             mapped_at_creation: false,
         });
-        pollster::block_on(scope.pop()).map_or(Ok(Buffer(buffer)), |_| Err(GpuError::OutOfMemory))
+        pollster::block_on(scope.pop()).map_or_else(|| Ok(share.of(buffer)), |_| Err(GpuError::OutOfMemory))
     }
 
     /// Overwrites the start of a buffer before the next submission runs.

@@ -102,20 +102,14 @@ fn a_device_lost_between_submissions_that_nobody_waits_for_is_found() {
 }
 
 #[test]
-fn memory_beyond_the_budget_is_refused_and_the_device_lives_on() {
-    if Gpu::for_test().is_none() {
-        return;
-    }
-    let gpu = Gpu::open_within(None, 1).unwrap();
-    let bytes = gpu.report().max_binding.min(128 << 20);
-    // Not written to: the memory is promised, not used.
-    let mut kept = Vec::new();
-    let refused = (0..64).find_map(|_| gpu.buffer("much", bytes).map(|b| kept.push(b)).err());
-    if let Some(error) = refused {
-        assert_eq!(error, GpuError::OutOfMemory);
-    } else {
-        eprintln!("not seen: this driver names no budget");
-    }
+fn memory_beyond_the_limit_is_refused_and_the_device_lives_on() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = gpu.with_memory_limit(1000);
+    let kept = gpu.buffer("kept", 800).unwrap();
+    let error = gpu.buffer("too much", 400).unwrap_err();
+    assert_eq!(error, GpuError::OutOfMemory);
+    assert!(error.to_string().contains("--device cpu"), "{error}");
+    assert_eq!(gpu.memory_held(), 800);
     drop(kept);
     let values = gpu.upload("values", &[7_u32]).unwrap();
     assert_eq!(gpu.download::<u32>(&values, 1).unwrap(), [7]);

@@ -6,7 +6,7 @@ use crate::target::{Selection, Target};
 use crate::workspace::Workspace;
 use crate::{train_dynamic, train_first_frame, train_sky, train_static};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
-use ffgs_gpu::Gpu;
+use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::Ledger;
 use ffgs_trainer::{
@@ -276,4 +276,54 @@ fn the_first_frame_agrees() {
     assert!(found.gaussians.len() > start.len() && found.gaussians.is_finite());
     let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
     assert_equal_quality("first frame", mean_psnr(&start, &sky, &views), quality(&cpu), quality(&found));
+}
+
+/// Every lane on `gpu`, which cannot finish any: the error, and what it worked on must be as it was.
+fn assert_lanes_fail_cleanly(gpu: &Gpu, is_expected: fn(&GpuError) -> bool) {
+    let (moving, around) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
+    let sky = SkyCube::filled(8, SKY);
+    let views = photographs(&joint(&moving, &around), &moving);
+    let config = DynamicLaneConfig { iterations: 40, ..DynamicLaneConfig::default() };
+    let surroundings = Surroundings { static_layer: &around, sky: &sky };
+    let mut layer = moving.clone();
+    let error =
+        train_dynamic(gpu, &config, &views, surroundings, &mut layer, 9, &mut |_| {}).expect_err("a fault");
+    assert!(is_expected(&error) && layer == moving, "dynamic: {error}");
+    let config = BackgroundConfig {
+        static_method: StaticMethod::Steps,
+        static_iterations: 40,
+        sky_iterations: 40,
+        ..BackgroundConfig::default()
+    };
+    let mut layer = around.clone();
+    let error = train_static(gpu, &config, &views, &sky, &mut layer, 3, &mut |_| {}).expect_err("a fault");
+    assert!(is_expected(&error) && layer == around, "static: {error}");
+    let mut cube = sky.clone();
+    let error = train_sky(gpu, &config, &views, &around, &mut cube, 5).expect_err("a fault");
+    assert!(is_expected(&error) && cube == sky, "sky: {error}");
+    let config = FirstFrameConfig { iterations: 40, ..FirstFrameConfig::default() };
+    let start = FirstFrame { gaussians: moving, sky };
+    let error = train_first_frame(gpu, &config, &views, start, 2.0, 4, &mut |_| {}).expect_err("a fault");
+    assert!(is_expected(&error), "first frame: {error}");
+}
+
+#[test]
+fn a_lane_whose_device_is_lost_ends_with_an_error_and_leaves_its_layer_alone() {
+    let is_loss = |e: &GpuError| matches!(e, GpuError::Lost(_));
+    for submissions in [0, 1, 7, 30] {
+        let Some(gpu) = Gpu::for_test() else { return };
+        gpu.lose_after(submissions);
+        assert_lanes_fail_cleanly(&gpu, is_loss);
+    }
+}
+
+#[test]
+fn a_lane_without_memory_ends_with_an_error_and_leaves_its_layer_alone() {
+    for limit in [1_000, 100_000, 400_000] {
+        let Some(gpu) = Gpu::for_test() else { return };
+        let gpu = gpu.with_memory_limit(limit);
+        assert_lanes_fail_cleanly(&gpu, |e| *e == GpuError::OutOfMemory);
+        gpu.release_unused();
+        assert_eq!(gpu.memory_held(), 0, "a lane that failed keeps nothing");
+    }
 }

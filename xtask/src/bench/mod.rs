@@ -3,6 +3,7 @@
 //! The floor of a case is its work at the machine's own rate, measured in the same pass by `machine/fma` (vector
 //! multiply-adds) or `machine/copy` (memory traffic): no program that does this work on so many threads is faster.
 
+mod gpu;
 mod results;
 
 use crate::{ffgs, workspace};
@@ -26,6 +27,11 @@ pub struct Options {
     /// A finished run whose frames' times are added to the table.
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
+    /// Where: cpu, gpu or gpu:N. On a GPU a pass replaces docs/bench/gpu.csv (docs/bench/gpu.md).
+    #[arg(long, default_value = "cpu", conflicts_with_all = ["filter", "run"])]
+    device: gpu::Device,
+    #[command(flatten)]
+    sizes: gpu::Sizes,
 }
 
 /// Where the table of a whole pass is kept.
@@ -33,6 +39,10 @@ const TABLE: &str = "docs/bench/cpu.csv";
 
 /// Runs the benchmarks, prints the table and saves it after a whole pass.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
+    if let gpu::Device::Gpu(adapter) = options.device {
+        let origin = format!("host: {}; commit {}", machine(), commit(root));
+        return gpu::run(root, adapter, options.quick, &options.sizes, &origin);
+    }
     let start = SystemTime::now();
     measure(root, options)?;
     let cases = results::read(&workspace::target(root).join("criterion"), start)?;
