@@ -83,15 +83,26 @@ pub fn adapters() -> Vec<AdapterReport> {
     all(&instance()).iter().enumerate().map(|(index, adapter)| report(index, adapter)).collect()
 }
 
-/// The adapter that `--device auto` takes; `None` where only the CPU or software Vulkan is at hand.
+/// The lanes of a frame, each of which may have an adapter of its own.
+const MOST_ADAPTERS: usize = 3;
+
+/// The adapters that `--device auto` takes: the best one and those equal to it, so that no result depends on their number.
+/// None where only the CPU or software Vulkan is at hand.
 ///
 /// On Linux without a device file of any GPU no driver is asked: software Vulkan alone takes a moment to load and writes
 /// to the error stream.
-pub fn hardware_adapter() -> Option<usize> {
+pub fn hardware_adapters() -> Vec<usize> {
     if cfg!(target_os = "linux") && !GPU_DEVICE_FILES.iter().any(|file| Path::new(file).exists()) {
-        return None;
+        return Vec::new();
     }
-    best(&adapters()).filter(|report| !report.software).map(|report| report.index)
+    equal_to_best(&adapters())
+}
+
+fn equal_to_best(reports: &[AdapterReport]) -> Vec<usize> {
+    let Some(best) = best(reports).filter(|report| !report.software) else { return Vec::new() };
+    let kind = |r: &AdapterReport| (r.name.clone(), r.driver.clone(), r.backend.clone());
+    let equal = reports.iter().filter(|r| r.obstacle.is_none() && kind(r) == kind(best));
+    equal.map(|r| r.index).take(MOST_ADAPTERS).collect()
 }
 
 /// The most capable usable adapter: hardware before software, discrete ones come first from the drivers.
@@ -200,6 +211,15 @@ mod tests {
         assert_eq!(best(&reports).map(|r| r.index), Some(2));
         assert_eq!(best(&reports[..2]).map(|r| r.index), Some(0));
         assert!(best(&reports[1..2]).is_none());
+    }
+
+    #[test]
+    fn auto_takes_equal_hardware_adapters_and_at_most_one_a_lane() {
+        let mut reports: Vec<_> = (0..6).map(|i| adapter(i, i == 0, None)).collect();
+        reports[2].driver = "other".into();
+        assert_eq!(equal_to_best(&reports), [1, 3, 4]);
+        assert_eq!(equal_to_best(&reports[..1]), [0; 0]);
+        assert_eq!(equal_to_best(&reports[..3]), [1]);
     }
 
     #[test]

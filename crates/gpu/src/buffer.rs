@@ -10,7 +10,7 @@ pub struct Buffer(pub(crate) wgpu::Buffer, Arc<Share>);
 impl Buffer {
     /// Size in bytes.
     pub fn bytes(&self) -> u64 {
-        self.0.size()
+        self.1.bytes
     }
 }
 

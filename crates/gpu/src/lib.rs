@@ -33,7 +33,7 @@ mod kernel;
 mod profile;
 pub mod reflection;
 
-pub use adapter::{AdapterReport, adapters, hardware_adapter};
+pub use adapter::{AdapterReport, adapters, hardware_adapters};
 pub use buffer::Buffer;
 pub use commands::{Commands, Groups};
 pub use device::{Gpu, Traffic};

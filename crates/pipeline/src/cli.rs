@@ -88,7 +88,7 @@ pub struct StageArgs {
     #[arg(long, value_name = "FILE")]
     pub output: PathBuf,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
-    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
+    #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -136,7 +136,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub train_views: Option<Vec<String>>,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
-    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
+    #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     pub device: Device,
     /// Settings beyond these options; `ffgs config` prints them all with what they mean. Options win
     #[arg(long, value_name = "FILE.toml")]
@@ -177,7 +177,7 @@ pub struct RenderArgs {
     #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
-    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
+    #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -194,7 +194,7 @@ pub struct EvalArgs {
     /// Output folder of the run
     pub run: PathBuf,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
-    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto")]
+    #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     pub device: Device,
     /// Messages.
     #[command(flatten)]
@@ -293,7 +293,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Config => crate::config_text::print_default()?,
         Command::Stage(args) => {
             start_log(args.log);
-            stage::run(args.name, &args.input, &args.output, args.device)?;
+            stage::run(args.name, &args.input, &args.output, &args.device)?;
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -1,61 +1,64 @@
-//! Where to compute: `--device auto | cpu | gpu[:N]`.
+//! Where to compute: `--device auto | cpu | gpu[:N,N]`.
 
 use anyhow::Result;
 use ffgs_gpu::Gpu;
 use std::str::FromStr;
 
 /// Where to compute.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Device {
-    /// A hardware GPU where there is one, else the CPU; never software Vulkan, which is slower than the CPU path.
+    /// The hardware GPUs that equal the best one, else the CPU; never software Vulkan, which is slower than the CPU path.
     #[default]
     Auto,
     /// All cores of this machine.
     Cpu,
-    /// This adapter of `ffgs devices`, or the best one.
-    Gpu(Option<usize>),
+    /// These adapters of `ffgs devices`, the lanes dealt over them; none = the best one.
+    Gpu(Vec<usize>),
 }
 
 impl FromStr for Device {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match (text, text.strip_prefix("gpu:").map(str::parse)) {
+        let numbers = |list: &str| list.split(',').map(str::parse).collect::<Result<_, _>>();
+        match (text, text.strip_prefix("gpu:").map(numbers)) {
             ("auto", _) => Ok(Self::Auto),
             ("cpu", _) => Ok(Self::Cpu),
-            ("gpu", _) => Ok(Self::Gpu(None)),
-            (_, Some(Ok(index))) => Ok(Self::Gpu(Some(index))),
-            _ => Err("expected auto, cpu, gpu or gpu:N, N as `ffgs devices` lists them".to_owned()),
+            ("gpu", _) => Ok(Self::Gpu(Vec::new())),
+            (_, Some(Ok(indices))) => Ok(Self::Gpu(indices)),
+            _ => Err("expected auto, cpu, gpu, gpu:N or gpu:N,N, N as `ffgs devices` lists them".to_owned()),
         }
     }
 }
 
 impl Device {
-    /// Opens the GPU; `None` = compute on the CPU. A GPU that was asked for and cannot be opened is an error.
-    pub fn open(self) -> Result<Option<Gpu>> {
-        let gpu = match self {
-            Self::Cpu => None,
-            Self::Auto => ffgs_gpu::hardware_adapter().and_then(open_or_warn),
-            Self::Gpu(index) => Some(Gpu::open(index)?),
+    /// Opens the GPUs; none = compute on the CPU. A GPU that was asked for and cannot be opened is an error.
+    pub fn open(&self) -> Result<Vec<Gpu>> {
+        let gpus = match self {
+            Self::Cpu => Vec::new(),
+            Self::Auto => ffgs_gpu::hardware_adapters().into_iter().filter_map(open_or_warn).collect(),
+            Self::Gpu(indices) if indices.is_empty() => vec![Gpu::open(None)?],
+            Self::Gpu(indices) => indices.iter().map(|&i| Gpu::open(Some(i))).collect::<Result<_, _>>()?,
         };
-        match &gpu {
-            Some(gpu) if gpu.report().software => {
-                tracing::warn!("{} is software: --device cpu is faster", gpu.report().name);
-            }
-            Some(_) => {}
-            None => tracing::info!("computing on the CPU"),
+        if let Some(gpu) = gpus.iter().find(|gpu| gpu.report().software) {
+            tracing::warn!("{} is software: --device cpu is faster", gpu.report().name);
         }
-        Ok(gpu)
+        if gpus.is_empty() {
+            tracing::info!("computing on the CPU");
+        }
+        Ok(gpus)
     }
 }
 
 fn open_or_warn(index: usize) -> Option<Gpu> {
-    Gpu::open(Some(index)).map_err(|error| tracing::warn!("computing on the CPU: {error}")).ok()
+    Gpu::open(Some(index)).map_err(|error| tracing::warn!("gpu:{index} is left out: {error}")).ok()
 }
 
-/// Name of what computes, for the record of a run: results are the same on one device only.
-pub(crate) fn name(gpu: Option<&Gpu>) -> String {
-    gpu.map_or_else(|| "cpu".to_owned(), |gpu| format!("gpu, {}", gpu.report().name))
+/// Name of what computes, for the record of a run: results are the same on equal devices only, however many.
+pub(crate) fn name(gpus: &[Gpu]) -> String {
+    let mut names: Vec<&str> = gpus.iter().map(|gpu| gpu.report().name.as_str()).collect();
+    names.dedup();
+    if names.is_empty() { "cpu".to_owned() } else { format!("gpu, {}", names.join(" + ")) }
 }
 
 /// Prints every adapter, and what `auto` takes.
@@ -67,10 +70,9 @@ pub fn list() {
     if adapters.is_empty() {
         println!("no GPU adapter");
     }
-    match ffgs_gpu::hardware_adapter() {
-        Some(index) => println!("--device auto: gpu:{index}"),
-        None => println!("--device auto: cpu"),
-    }
+    let chosen: Vec<String> = ffgs_gpu::hardware_adapters().iter().map(ToString::to_string).collect();
+    let chosen = if chosen.is_empty() { "cpu".to_owned() } else { format!("gpu:{}", chosen.join(",")) };
+    println!("--device auto: {chosen}");
 }
 
 #[cfg(test)]
@@ -79,24 +81,25 @@ mod tests {
 
     #[test]
     fn names_of_devices() {
-        assert_eq!("gpu".parse(), Ok(Device::Gpu(None)));
-        assert_eq!("gpu:2".parse(), Ok(Device::Gpu(Some(2))));
+        assert_eq!("gpu".parse(), Ok(Device::Gpu(Vec::new())));
+        assert_eq!("gpu:2".parse(), Ok(Device::Gpu(vec![2])));
+        assert_eq!("gpu:0,1,0".parse(), Ok(Device::Gpu(vec![0, 1, 0])));
         assert_eq!("auto".parse(), Ok(Device::Auto));
-        for wrong in ["gpu:", "gpu:x", "cuda", ""] {
+        for wrong in ["gpu:", "gpu:x", "gpu:0,", "gpu:0,x", "cuda", ""] {
             assert!(wrong.parse::<Device>().is_err(), "{wrong}");
         }
     }
 
     #[test]
     fn automatic_choice_is_never_software() {
-        let chosen = ffgs_gpu::hardware_adapter();
-        let software = |i: usize| ffgs_gpu::adapters().iter().any(|a| a.index == i && a.software);
-        assert!(chosen.is_none_or(|i| !software(i)));
+        let adapters = ffgs_gpu::adapters();
+        let chosen = ffgs_gpu::hardware_adapters();
+        assert!(adapters.iter().all(|a| !a.software || !chosen.contains(&a.index)), "{chosen:?}");
     }
 
     #[test]
     fn an_adapter_that_does_not_exist_is_named() {
-        let error = Device::Gpu(Some(99)).open().err().unwrap();
+        let error = Device::Gpu(vec![99]).open().err().unwrap();
         assert!(error.to_string().contains("gpu:99"), "{error}");
     }
 }

@@ -16,11 +16,11 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         bail!("{} has no test views to measure", capture.root().display());
     }
     let bar = progress(args.log.quiet, "frames", run.frames.len());
-    let gpu = args.device.open()?;
+    let gpus = args.device.open()?;
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record: FrameRecord = read_json(&folder.record(frame))?;
-        record.views = score(capture, &run.layers(frame)?, frame, &folder.frame(frame), Lanes(gpu.as_ref()))?;
+        record.views = score(capture, &run.layers(frame)?, frame, &folder.frame(frame), Lanes(&gpus))?;
         write_json(&folder.record(frame), &record)?;
         records.push(record);
         bar.inc(1);

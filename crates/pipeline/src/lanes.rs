@@ -10,9 +10,9 @@ use ffgs_trainer::{
     StaticLane, StaticMethod, Surroundings, TrainingView,
 };
 
-/// Where lanes run; `None` = the CPU.
+/// Where lanes run: dealt over GPUs, dynamic, static, sky; none = the CPU. Everything else is done by the first.
 #[derive(Clone, Copy)]
-pub(crate) struct Lanes<'a>(pub Option<&'a Gpu>);
+pub(crate) struct Lanes<'a>(pub &'a [Gpu]);
 
 /// What the static lane compares with.
 #[derive(Clone, Copy)]
@@ -26,7 +26,32 @@ pub(crate) struct Photographed<'a> {
 /// What is told after a step.
 type Report<'a> = &'a mut dyn FnMut(Progress);
 
-impl Lanes<'_> {
+impl<'a> Lanes<'a> {
+    /// The GPU of a lane: 0 = dynamic, 1 = static, 2 = sky.
+    fn gpu(self, lane: usize) -> Option<&'a Gpu> {
+        self.0.get(lane.checked_rem(self.0.len())?)
+    }
+
+    /// Runs the three lanes of a frame at the same time. With one device the static lane and the sky take turns: they
+    /// would only hold more memory.
+    pub fn together<D: Send, S: Send, K: Send>(
+        self,
+        dynamic: impl FnOnce() -> D + Send,
+        static_lane: impl FnOnce() -> S + Send,
+        sky: impl FnOnce() -> K + Send,
+    ) -> (D, S, K) {
+        if self.0.len() < 2 {
+            let (dynamic, (static_lane, sky)) = rayon::join(dynamic, || (static_lane(), sky()));
+            return (dynamic, static_lane, sky);
+        }
+        // Threads that mostly wait for a device; the CPU's own stay free for the linear solve.
+        std::thread::scope(|scope| {
+            let (static_lane, sky) = (scope.spawn(static_lane), scope.spawn(sky));
+            let dynamic = dynamic();
+            (dynamic, joined(static_lane), joined(sky))
+        })
+    }
+
     /// Frame 0.
     pub fn first_frame(
         self,
@@ -38,7 +63,7 @@ impl Lanes<'_> {
         report: Report,
     ) -> Result<FirstFrame> {
         let FirstFrame { gaussians, sky } = start;
-        Ok(match self.0 {
+        Ok(match self.gpu(0) {
             None => ffgs_trainer::train_first_frame(config, views, gaussians, sky, extent, seed, report),
             Some(gpu) => ffgs_trainer_gpu::train_first_frame(
                 gpu,
@@ -62,7 +87,7 @@ impl Lanes<'_> {
         seed: u64,
         report: Report,
     ) -> Result<()> {
-        match self.0 {
+        match self.gpu(0) {
             None => ffgs_trainer::train_dynamic(config, views, around, layer, seed, report),
             Some(gpu) => {
                 ffgs_trainer_gpu::train_dynamic(gpu, config, views, around, layer, seed, report)?;
@@ -81,7 +106,7 @@ impl Lanes<'_> {
         seed: u64,
         report: Report,
     ) -> Result<()> {
-        match self.0 {
+        match self.gpu(1) {
             Some(gpu) if config.static_method == StaticMethod::Steps => {
                 ffgs_trainer_gpu::train_static(gpu, config, views, sky, layer, seed, report)?;
             }
@@ -99,7 +124,7 @@ impl Lanes<'_> {
         sky: &mut SkyCube,
         seed: u64,
     ) -> Result<()> {
-        match self.0 {
+        match self.gpu(2) {
             None => ffgs_trainer::train_sky(config, views, layer, sky, seed),
             Some(gpu) => ffgs_trainer_gpu::train_sky(gpu, config, views, layer, sky, seed)?,
         }
@@ -112,11 +137,16 @@ impl Lanes<'_> {
         sky.render(&SkyView::new(camera, sky.face_size()), &mut background);
         let view = View { camera, background: Background::Image(&background), tiles: None };
         let options = RenderOptions { antialiased: true, sh_degree: None };
-        if let Some(gpu) = self.0 {
+        if let Some(gpu) = self.gpu(0) {
             return Ok(GpuRasterizer::new(gpu, options)?.render(gaussians, &view)?.image);
         }
         let mut tape = RenderTape::default();
         CpuRasterizer::new(options).render(gaussians, &view, &mut tape);
         Ok(tape.image().clone())
     }
+}
+
+/// A panic of a lane goes on here.
+fn joined<T>(lane: std::thread::ScopedJoinHandle<T>) -> T {
+    lane.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }

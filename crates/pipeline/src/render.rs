@@ -113,10 +113,10 @@ pub fn render(args: &RenderArgs) -> Result<()> {
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
     };
     let out = args.out.clone().unwrap_or_else(|| args.run.join("renders"));
-    let gpu = args.device.open()?;
+    let gpus = args.device.open()?;
     let bar = progress(args.log.quiet, "views", views.len());
     for (name, camera) in &views {
-        write_png(&out.join(name), &ImageRgb8::from(&render_layers(&layers, camera, Lanes(gpu.as_ref()))?))?;
+        write_png(&out.join(name), &ImageRgb8::from(&render_layers(&layers, camera, Lanes(&gpus))?))?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -24,7 +24,7 @@ pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
         frames: args.frames,
         train_views: args.train_views.clone(),
         first_frame: args.first_frame.clone(),
-        device: args.device,
+        device: args.device.clone(),
         quiet: args.log.quiet,
         config,
     })

@@ -52,7 +52,11 @@ pub struct RunRequest {
 
 /// Runs the job and returns the path of the report.
 pub fn run(request: &RunRequest) -> Result<PathBuf> {
-    let job = Job::open(request)?;
+    run_frames(&Job::open(request)?)
+}
+
+fn run_frames(job: &Job) -> Result<PathBuf> {
+    let request = job.request;
     let mut console = Console::new(request.quiet, job.frames.clone());
     let mut records = Vec::new();
     let mut layers: Option<Layers> = None;
@@ -86,7 +90,8 @@ struct Job<'a> {
     frames: Range<usize>,
     folder: RunFolder,
     manifest: Manifest,
-    gpu: Option<Gpu>,
+    /// None = the CPU.
+    gpus: Vec<Gpu>,
 }
 
 impl<'a> Job<'a> {
@@ -108,10 +113,10 @@ impl<'a> Job<'a> {
             bail!("--frames {}..{}: the capture has frames 0..{count}", frames.start, frames.end);
         }
         let folder = RunFolder(request.out.clone());
-        let gpu = request.device.open()?;
-        let manifest = Manifest::new(request, &frames, device::name(gpu.as_ref()))?;
+        let gpus = request.device.open()?;
+        let manifest = Manifest::new(request, &frames, device::name(&gpus))?;
         manifest.claim(&folder, request.resume)?;
-        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpu })
+        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpus })
     }
 
     fn config(&self) -> &Config {
@@ -119,7 +124,7 @@ impl<'a> Job<'a> {
     }
 
     fn lanes(&self) -> Lanes<'_> {
-        Lanes(self.gpu.as_ref())
+        Lanes(&self.gpus)
     }
 
     fn publish(&self, records: &[FrameRecord]) -> Result<crate::record::Metrics> {
@@ -242,7 +247,8 @@ impl<'a> Job<'a> {
             let start = Instant::now();
             work().map(|()| start.elapsed().as_secs_f64())
         };
-        let (dynamic_s, (static_s, sky_s)) = rayon::join(
+        let background = &config.background;
+        let (dynamic_s, static_s, sky_s) = lanes.together(
             || {
                 timed(&mut || {
                     let layer = &mut dynamic.gaussians;
@@ -250,21 +256,13 @@ impl<'a> Job<'a> {
                 })
             },
             || {
-                let background = &config.background;
-                let mut train = || {
+                timed(&mut || {
+                    let photographed = Photographed { views, sky: &sky_start };
                     let report = &mut |p| static_bar.show(p);
-                    lanes.static_layer(
-                        static_lane,
-                        background,
-                        Photographed { views, sky: &sky_start },
-                        static_layer,
-                        seed,
-                        report,
-                    )
-                };
-                let static_s = timed(&mut train);
-                (static_s, timed(&mut || lanes.sky(background, views, &static_start, sky, seed)))
+                    lanes.static_layer(static_lane, background, photographed, static_layer, seed, report)
+                })
             },
+            || timed(&mut || lanes.sky(background, views, &static_start, sky, seed)),
         );
         record.seconds.dynamic = Some(dynamic_s?);
         record.seconds.static_lane = Some(static_s?);
@@ -340,4 +338,60 @@ fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
         }
     }
     sum.map(|s| (s / f64::max(count, 1.0)) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use std::path::Path;
+
+    /// A short run of the sample on GPUs, every lane on them.
+    fn request(out: &Path, gpus: &[usize], frames: usize, resume: bool) -> RunRequest {
+        let mut config = Config::default();
+        config.first_frame.iterations = 3;
+        config.dynamic.iterations = 4;
+        config.background.static_method = ffgs_trainer::StaticMethod::Steps;
+        config.background.static_iterations = 3;
+        config.background.sky_iterations = 3;
+        RunRequest {
+            capture: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini"),
+            out: out.to_owned(),
+            resume,
+            init: Init::Fused,
+            frames: Some(FrameRange { start: 0, end: Some(frames) }),
+            train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
+            first_frame: None,
+            device: Device::Gpu(gpus.to_vec()),
+            quiet: true,
+            config,
+        }
+    }
+
+    /// Several GPUs, one lost in the second frame, and a run that was never disturbed on one: equal bytes.
+    #[test]
+    fn a_lost_gpu_ends_the_frame_and_a_resumed_run_ends_as_one_that_never_stopped() {
+        if Gpu::for_test().is_none() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let [whole, cut] = ["whole", "cut"].map(|name| folder.path().join(name));
+        let state = |out: &Path, frame: usize| std::fs::read(RunFolder(out.to_owned()).state(frame)).unwrap();
+        run(&request(&whole, &[0], 2, false)).unwrap();
+
+        run(&request(&cut, &[0, 0, 0], 1, false)).unwrap();
+        let first = state(&cut, 0);
+        let request_cut = request(&cut, &[0, 0, 0], 2, true);
+        let job = Job::open(&request_cut).unwrap();
+        assert_eq!(job.gpus.len(), 3);
+        job.gpus[2].lose_after(4);
+        let error = format!("{:#}", run_frames(&job).unwrap_err());
+        assert!(error.contains("the GPU was lost") && error.contains("--resume"), "{error}");
+        assert!(!job.folder.state(1).exists(), "the frame did not finish");
+        assert!(state(&cut, 0) == first, "the finished frame stays");
+
+        run(&request(&cut, &[0, 0, 0], 2, true)).unwrap();
+        assert!(state(&cut, 0) == state(&whole, 0));
+        assert!(state(&cut, 1) == state(&whole, 1));
+    }
 }

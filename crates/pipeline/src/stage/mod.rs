@@ -50,7 +50,7 @@ pub enum Stage {
 ///
 /// # Errors
 /// Names the file and the array that cannot be used, or the device that cannot run the stage.
-pub fn run(stage: Stage, input: &Path, output: &Path, device: Device) -> Result<()> {
+pub fn run(stage: Stage, input: &Path, output: &Path, device: &Device) -> Result<()> {
     if stage != Stage::Rasterize && matches!(device, Device::Gpu(_)) {
         bail!("--device: stage {stage:?} runs on the CPU only; rasterize runs on a GPU");
     }

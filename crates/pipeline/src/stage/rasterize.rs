@@ -11,7 +11,7 @@ use ffgs_rasterizer::{
 };
 use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
 
-pub(super) fn run(input: &Input, device: Device) -> Result<NpzWriter> {
+pub(super) fn run(input: &Input, device: &Device) -> Result<NpzWriter> {
     let gaussians = gaussians(input)?;
     let camera = read_camera(input)?;
     let background = input.finite::<f32>("in_background", &[Some(3)])?.data;
@@ -20,8 +20,8 @@ pub(super) fn run(input: &Input, device: Device) -> Result<NpzWriter> {
     let options = options(input, gaussians.sh_degree())?;
     let view = View { camera: &camera, background, tiles: None };
     let mut gradients = Gradients::default();
-    let rendered = match device.open()? {
-        Some(gpu) => GpuRasterizer::new(&gpu, options)?.render_and_differentiate(
+    let rendered = match device.open()?.first() {
+        Some(gpu) => GpuRasterizer::new(gpu, options)?.render_and_differentiate(
             &gaussians,
             &view,
             &upstream.gradients(),
