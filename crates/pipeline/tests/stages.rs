@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn run(stage: Stage, input: &Path, output: &Path) -> anyhow::Result<()> {
-    run_on(stage, input, output, Device::Cpu)
+    run_on(stage, input, output, &Device::Cpu)
 }
 
 fn cases(folder: &str) -> Vec<PathBuf> {

@@ -4,7 +4,7 @@ use crate::rasterize::GpuRasterizer;
 use crate::scene::GpuScene;
 use crate::view::GpuView;
 use ffgs_core::Gaussians;
-use ffgs_gpu::{GpuError, Groups};
+use ffgs_gpu::{Buffer, GpuError, Groups};
 use ffgs_rasterizer::{TopContributors, View};
 
 /// Channels that one pass over the pixels sums.
@@ -32,6 +32,15 @@ impl Footprints {
     }
 }
 
+/// Row-major planes of the view's size, one after the other, on the device.
+#[derive(Clone, Copy, Debug)]
+pub struct Planes<'a> {
+    /// (count, H, W) f32.
+    pub values: &'a Buffer,
+    /// Number of planes, at least one.
+    pub count: usize,
+}
+
 impl GpuRasterizer<'_> {
     /// Renders `gaussians` and sums `alpha T * channel` per Gaussian over the pixels, for each row-major channel; at
     /// least one channel of the view's size.
@@ -41,43 +50,56 @@ impl GpuRasterizer<'_> {
         view: &View,
         channels: &[&[f32]],
     ) -> Result<Footprints, GpuError> {
+        let scene = GpuScene::upload(self.gpu, gaussians)?;
+        let planes = self.gpu.upload("channels", &channels.concat())?;
+        self.accumulate_planes(&scene, view, &Planes { values: &planes, count: channels.len() }, scene.count)
+    }
+
+    /// The same for a scene and planes that are on the device; sums of the first `rows` Gaussians only.
+    pub fn accumulate_planes(
+        &mut self,
+        scene: &GpuScene,
+        view: &View,
+        planes: &Planes,
+        rows: usize,
+    ) -> Result<Footprints, GpuError> {
         let gpu = self.gpu;
-        let scene = GpuScene::upload(gpu, gaussians)?;
-        let on_device = GpuView::new(gpu, view.camera, view.background, view.tiles)?;
-        self.render_uploaded(&scene, &on_device)?;
-        let planes = gpu.upload("channels", &channels.concat())?;
+        let view = GpuView::new(gpu, view.camera, view.background, view.tiles)?;
+        self.render_on_device(scene, &view)?;
         let totals = gpu.buffer("footprints", (scene.count * ENTRY * 4) as u64)?;
-        let n = gaussians.len();
-        let mut out =
-            Footprints { channels: channels.len(), sums: vec![0.0; n * channels.len()], hits: vec![0; n] };
-        for first in (0..channels.len()).step_by(CHANNELS) {
-            let count = CHANNELS.min(channels.len() - first);
-            let span = gpu.uniform("channels", &[first as u32, count as u32, 0, 0])?;
-            let s = &self.scratch;
-            let sum = [
-                &on_device.uniform,
-                &span,
-                &s.splats,
-                &s.list,
-                &on_device.slots,
-                &s.last,
-                &planes,
-                &s.entries,
-            ];
-            let mut commands = gpu.commands();
-            let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
-            commands.run(kernel, &sum, Groups::of(on_device.slots(), 1));
-            let total = [&on_device.uniform, &s.extents, &s.entries, &totals];
-            commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::of(n, 256));
-            gpu.submit(commands)?;
-            let rows: Vec<[f32; ENTRY]> = gpu.download(&totals, n)?;
-            for (i, row) in rows.iter().enumerate() {
-                let at = i * channels.len() + first;
-                out.sums[at..at + count].copy_from_slice(&row[..count]);
+        let channels = planes.count;
+        let mut out = Footprints { channels, sums: vec![0.0; rows * channels], hits: vec![0; rows] };
+        for first in (0..channels).step_by(CHANNELS) {
+            let span = [first, CHANNELS.min(channels - first)];
+            self.sum(scene, &view, planes.values, span, &totals)?;
+            let sums: Vec<[f32; ENTRY]> = gpu.download(&totals, rows)?;
+            for (i, row) in sums.iter().enumerate() {
+                let at = i * channels + first;
+                out.sums[at..at + span[1]].copy_from_slice(&row[..span[1]]);
                 out.hits[i] = row[CHANNELS] as u32;
             }
         }
         Ok(out)
+    }
+
+    /// Sums of `count` planes from `first` on, into `totals`.
+    fn sum(
+        &self,
+        scene: &GpuScene,
+        view: &GpuView,
+        planes: &Buffer,
+        [first, count]: [usize; 2],
+        totals: &Buffer,
+    ) -> Result<(), GpuError> {
+        let (gpu, s) = (self.gpu, &self.scratch);
+        let span = gpu.uniform("channels", &[first as u32, count as u32, 0, 0])?;
+        let sum = [&view.uniform, &span, &s.splats, &s.list, &view.slots, &s.last, planes, &s.entries];
+        let mut commands = gpu.commands();
+        let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
+        commands.run(kernel, &sum, Groups::of(view.slots(), 1));
+        let total = [&view.uniform, &s.extents, &s.entries, totals];
+        commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::of(scene.count, 256));
+        gpu.submit(commands)
     }
 
     /// Renders `gaussians` and lists the `count` (at most 16) largest contributions of each pixel.

@@ -36,7 +36,7 @@ mod shader_tests;
 mod view;
 
 pub use encode::{backward, deal, prepare, render, render_split, tile_depths};
-pub use footprint::Footprints;
+pub use footprint::{Footprints, Planes};
 pub use layout::{Geometry, Ledger};
 pub use rasterize::{GpuRasterizer, Rendered};
 pub use scene::{GpuGradients, GpuScene};

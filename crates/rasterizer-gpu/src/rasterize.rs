@@ -40,6 +40,14 @@ impl<'a> GpuRasterizer<'a> {
 
     /// Renders a scene that is on the device, again with more memory if that was too little.
     pub fn render_uploaded(&mut self, scene: &GpuScene, view: &GpuView) -> Result<Rendered, GpuError> {
+        self.render_on_device(scene, view)?;
+        let pixels = self.gpu.download(&self.scratch.pixels, view.size().pixels())?;
+        let (image, transmittance) = view.unpack(&pixels);
+        Ok(Rendered { image, transmittance })
+    }
+
+    /// The same without a look at the image.
+    pub(crate) fn render_on_device(&mut self, scene: &GpuScene, view: &GpuView) -> Result<(), GpuError> {
         let (gpu, pixels) = (self.gpu, view.size().pixels());
         self.scratch.ensure(gpu, Capacity { gaussians: scene.count, pixels, ..Capacity::default() })?;
         loop {
@@ -50,12 +58,10 @@ impl<'a> GpuRasterizer<'a> {
             gpu.submit(commands)?;
             let needed = self.scratch.needed(gpu)?;
             if self.scratch.holds(needed) {
-                break;
+                return Ok(());
             }
             self.scratch.ensure(gpu, needed)?;
         }
-        let (image, transmittance) = view.unpack(&gpu.download(&self.scratch.pixels, pixels)?);
-        Ok(Rendered { image, transmittance })
     }
 
     /// Renders and differentiates; derivatives as [`ffgs_rasterizer::DifferentiableRasterizer::backward`] gives them,
