@@ -1,16 +1,18 @@
-// A dense tracker's field from half floats: flow relative to its mean, confidence and visibility.
+// A dense tracker's field from 16-bit numbers: flow in steps of its range, visibility and confidence.
 // Host side: motion-gpu/src/packed.rs. Floor: 8 B read and 16 B written a pixel.
 
 struct Unpack {
+    // Middle of the flow's range, and from there to its ends (px).
+    middle: vec2f,
+    reach: vec2f,
     pixels: u32,
     // Row of the tracker's first pixel in `fields`.
     first: u32,
-    // Mean flow (px).
-    mean: vec2f,
+    padding: vec2u,
 }
 
 @group(0) @binding(0) var<uniform> job: Unpack;
-@group(0) @binding(1) var<storage, read> halves: array<vec2u>;
+@group(0) @binding(1) var<storage, read> packed: array<vec2u>;
 @group(0) @binding(2) var<storage, read_write> fields: array<vec4f>;
 
 @compute @workgroup_size(256)
@@ -23,7 +25,10 @@ fn unpack_field(
     if at >= job.pixels {
         return;
     }
-    let flow = unpack2x16float(halves[at].x);
-    let certainty = unpack2x16float(halves[at].y);
-    fields[job.first + at] = vec4f(flow + job.mean, certainty);
+    let certainty = unpack2x16unorm(packed[at].y);
+    var flow = vec2f(0.0);
+    if certainty.y > 0.0 {
+        flow = job.middle + unpack2x16snorm(packed[at].x) * job.reach;
+    }
+    fields[job.first + at] = vec4f(flow, certainty);
 }

@@ -1,0 +1,32 @@
+//! The compute shaders of `shaders/motion`, each with the shared pieces it needs.
+
+use ffgs_gpu::Kernel;
+
+/// Text of a shader file, taken at build time: a missing file does not build, and an old one cannot be shipped.
+macro_rules! wgsl {
+    ($path:expr) => {
+        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shaders/", $path, ".wgsl"))
+    };
+}
+
+macro_rules! kernel {
+    ($name:ident, $file:literal, [$($piece:expr),*]) => {
+        pub(crate) const $name: Kernel = Kernel {
+            name: $file,
+            source: &[$($piece,)* GROUPS, wgsl!(concat!("motion/", $file))],
+            subgroups: false,
+        };
+    };
+}
+
+const GROUPS: &str = wgsl!("common/groups");
+const FIELDS: &str = wgsl!("common/fields");
+
+kernel!(DENSIFY, "densify", []);
+kernel!(UNPACK_FIELD, "unpack_field", []);
+kernel!(AGREEMENT, "agreement", [FIELDS]);
+kernel!(FIELD_PLANES, "field_planes", [FIELDS]);
+
+/// Every kernel of this crate.
+#[cfg(test)]
+pub(crate) const ALL: [Kernel; 4] = [DENSIFY, UNPACK_FIELD, AGREEMENT, FIELD_PLANES];
