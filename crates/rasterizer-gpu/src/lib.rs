@@ -38,7 +38,7 @@ mod view;
 pub use encode::{backward, deal, prepare, render, render_split, tile_depths};
 pub use footprint::{Footprints, Planes};
 pub use layout::{Geometry, Ledger};
-pub use rasterize::{GpuRasterizer, Rendered};
+pub use rasterize::{GpuRasterizer, Rendered, VIEWS_A_SUBMISSION};
 pub use scene::{GpuGradients, GpuScene};
 pub use scratch::{Capacity, Scratch};
 pub use view::GpuView;

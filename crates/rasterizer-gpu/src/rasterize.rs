@@ -4,9 +4,12 @@ use crate::scene::{GpuGradients, GpuScene};
 use crate::scratch::{Capacity, Scratch};
 use crate::view::GpuView;
 use ffgs_core::{Gaussians, PlanarImage};
-use ffgs_gpu::{Gpu, GpuError};
+use ffgs_gpu::{Buffer, Gpu, GpuError};
 use ffgs_rasterizer::{Gradients, PixelGradients, RenderOptions, View};
 use glam::{DMat3, DVec3};
+
+/// Views in one submission: enough to keep a device busy, few enough that no driver takes it for stuck.
+pub const VIEWS_A_SUBMISSION: usize = 8;
 
 /// Renders on the device and brings the results to the host: for single stages, pictures and tests. Training keeps
 /// everything on the device and calls [`crate::render`] and [`crate::backward`] itself.
@@ -36,6 +39,47 @@ impl<'a> GpuRasterizer<'a> {
         let scene = GpuScene::upload(self.gpu, gaussians)?;
         let view = GpuView::new(self.gpu, view.camera, view.background, view.tiles)?;
         self.render_uploaded(&scene, &view)
+    }
+
+    /// Renders `gaussians` from several views, up to eight in a submission.
+    pub fn render_views(&mut self, gaussians: &Gaussians, views: &[View]) -> Result<Vec<Rendered>, GpuError> {
+        let scene = GpuScene::upload(self.gpu, gaussians)?;
+        let mut out = Vec::with_capacity(views.len());
+        for group in views.chunks(VIEWS_A_SUBMISSION) {
+            out.extend(self.render_group(&scene, group)?);
+        }
+        Ok(out)
+    }
+
+    fn render_group(&mut self, scene: &GpuScene, views: &[View]) -> Result<Vec<Rendered>, GpuError> {
+        let gpu = self.gpu;
+        let on_device = |v: &View| GpuView::new(gpu, v.camera, v.background, v.tiles);
+        let views: Vec<GpuView> = views.iter().map(on_device).collect::<Result<_, _>>()?;
+        let pixels = views.iter().map(|v| v.size().pixels()).max().unwrap_or(0);
+        self.scratch.ensure(gpu, Capacity { gaussians: scene.count, pixels, ..Capacity::default() })?;
+        let image = |v: &GpuView| gpu.buffer("image of a view", 16 * v.size().pixels() as u64);
+        let images: Vec<Buffer> = views.iter().map(image).collect::<Result<_, _>>()?;
+        loop {
+            self.scratch.restart(gpu, scene.count);
+            let mut commands = gpu.commands();
+            for (view, image) in views.iter().zip(&images) {
+                encode::prepare(gpu, scene, view, &self.scratch, self.options, 1);
+                encode::render(&mut commands, scene, view, &self.scratch);
+                commands.copy(&self.scratch.pixels, image, 16 * view.size().pixels() as u64);
+            }
+            gpu.submit(commands)?;
+            // The largest need of all views.
+            let needed = self.scratch.needed(gpu)?;
+            if self.scratch.holds(needed) {
+                break;
+            }
+            self.scratch.ensure(gpu, needed)?;
+        }
+        let rendered = |(view, image): (&GpuView, &Buffer)| {
+            let (image, transmittance) = view.unpack(&gpu.download(image, view.size().pixels())?);
+            Ok(Rendered { image, transmittance })
+        };
+        views.iter().zip(&images).map(rendered).collect()
     }
 
     /// Renders a scene that is on the device, again with more memory if that was too little.

@@ -226,6 +226,10 @@ fn poison_and_thresholds_agree() {
     gaussians.means[1][2] = inf;
     gaussians.quats[3] = [0.0; 4];
     gaussians.quats[4][3] = inf;
+    gaussians.quats[15] = [nan; 4];
+    gaussians.quats[16][2] = nan;
+    gaussians.quats[17] = [1e30; 4];
+    gaussians.quats[18] = [1e-30; 4];
     gaussians.log_scales[5] = [nan; 3];
     gaussians.log_scales[6][0] = inf;
     gaussians.log_scales[7] = [-inf; 3];
@@ -266,4 +270,19 @@ fn equal_inputs_give_equal_bits() {
     };
     let first = run();
     assert!((0..3).all(|_| run() == first));
+}
+
+/// Also when the first views need less room than a later one, and with more views than a submission holds.
+#[test]
+fn several_views_in_a_submission_are_the_same_bits_as_one_by_one() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let (camera, gaussians, behind, tiles) = (camera(), scene(3000, 1, 6), picture(7), foreground());
+    let all = View { camera: &camera, background: Background::Image(&behind), tiles: None };
+    let part = View { camera: &camera, background: Background::Colour([0.1; 3]), tiles: Some(&tiles) };
+    let views = [part, all, part, all, all, part, part, part, all, part];
+    let rasterizer = || GpuRasterizer::new(&gpu, RenderOptions::default()).unwrap();
+    let one_by_one: Vec<Rendered> =
+        views.iter().map(|view| rasterizer().render(&gaussians, view).unwrap()).collect();
+    assert!(rasterizer().render_views(&gaussians, &views).unwrap() == one_by_one);
+    assert!(rasterizer().render_views(&gaussians, &[]).unwrap().is_empty());
 }

@@ -3,7 +3,7 @@ use crate::optimiser::Optimiser;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TILE};
-use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, deal, prepare};
+use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_A_SUBMISSION, deal, prepare};
 use ffgs_trainer::{Progress, TrainingView};
 
 /// Steps between two looks at the running loss.
@@ -41,10 +41,12 @@ impl<'a> Workspace<'a> {
         let gpu = self.gpu;
         self.scratch.ensure(gpu, Capacity { gaussians: scene.count, ..Capacity::default() })?;
         self.scratch.restart(gpu, scene.count);
-        for target in targets {
-            prepare(gpu, scene, &target.view, &self.scratch, options, 0);
+        for group in targets.chunks(VIEWS_A_SUBMISSION) {
             let mut commands = gpu.commands();
-            deal(&mut commands, scene, &target.view, &self.scratch);
+            for target in group {
+                prepare(gpu, scene, &target.view, &self.scratch, options, 0);
+                deal(&mut commands, scene, &target.view, &self.scratch);
+            }
             gpu.submit(commands)?;
         }
         let needed = self.scratch.needed(gpu)?.with_margin();

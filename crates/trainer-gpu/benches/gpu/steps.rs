@@ -20,7 +20,7 @@ const PARTS: [(&str, Part); 5] = [
     ("step", Part::Step),
 ];
 
-/// Rows `gpu/PART/SIZE/COUNT`, `kernel/NAME/SIZE/COUNT` and `cpu/forward/SIZE/COUNT`.
+/// Rows `gpu/PART/SIZE/COUNT`, `gpu/round_trip/SIZE/COUNT` (density control), `kernel/NAME/SIZE/COUNT` and `cpu/forward/SIZE/COUNT`.
 pub fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result<()> {
     let case = format!("{}x{}/{count}", size.width, size.height);
     let gaussians = discs(count, 3, SPREAD);
@@ -30,7 +30,7 @@ pub fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result
     let (rasterizer, mut tape) = (CpuRasterizer::new(OPTIONS), RenderTape::default());
     let seconds = rows.time(|| rasterizer.render(&gaussians, &frame, &mut tape));
     rows.add(&format!("cpu/forward/{case}"), seconds, None);
-    let probe = Probe::new(gpu, &gaussians, &view, OPTIONS)?;
+    let mut probe = Probe::new(gpu, &gaussians, &view, OPTIONS)?;
     let counts = probe.counts(blended)?;
     for (name, part) in PARTS {
         let seconds = rows.time_on(gpu, || probe.run(part))?;
@@ -41,6 +41,10 @@ pub fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result
         let floor = counts.floor(kernel).with_context(|| format!("{kernel} has no floor"))?;
         rows.add(&format!("kernel/{kernel}/{case}"), seconds, Some(floor));
     }
+    let mut moved = probe.round_trip();
+    let seconds = rows.time(|| moved = probe.round_trip());
+    let floor = Floor { bytes: moved? as f64, operations: 0.0 };
+    rows.add(&format!("gpu/round_trip/{case}"), seconds, Some(floor));
     gpu.release_unused();
     Ok(())
 }

@@ -12,7 +12,7 @@ use ffgs_core::Gaussians;
 use ffgs_gpu::{Commands, Gpu, GpuError, KernelTime};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
-use ffgs_trainer::{LearningRates, SkyCube, TrainingView};
+use ffgs_trainer::{IndexMap, LearningRates, SkyCube, TrainingView};
 use std::cell::Cell;
 
 /// A part of a training step. Each needs what the ones before it left on the device.
@@ -81,6 +81,19 @@ impl<'a> Probe<'a> {
         let Some(mut commands) = self.workspace.gpu.timed_commands() else { return Ok(None) };
         self.record(part, &mut commands);
         self.workspace.gpu.submit_timed(commands).map(Some)
+    }
+
+    /// What a round of density control moves, with nothing grown: Gaussians, moments and notes to the host and back.
+    /// Returns the bytes.
+    pub fn round_trip(&mut self) -> Result<u64, GpuError> {
+        let gpu = self.workspace.gpu;
+        let before = gpu.traffic();
+        let gaussians = self.optimiser.download()?;
+        self.optimiser.ledger()?;
+        self.optimiser.replace(&gaussians, &IndexMap::identity(gaussians.len()), true)?;
+        gpu.finish()?;
+        let after = gpu.traffic();
+        Ok(after.up + after.down - before.up - before.down)
     }
 
     /// A new step wherever gradients are written, so that they replace those of the last one.
