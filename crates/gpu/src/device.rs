@@ -149,7 +149,12 @@ impl Gpu {
         Ok(buffer)
     }
 
-    pub(crate) fn allocate(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
+    pub(crate) fn allocate(
+        &self,
+        what: &str,
+        bytes: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<Buffer, GpuError> {
         let size = checked_size(what, bytes, self.limit)?;
         let usage = usage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
         let share = self.memory.take(size)?;

@@ -146,7 +146,8 @@ impl<'a> ViewFields<'a> {
             return Err(MotionError::Floor(magnitude_floor).into());
         }
         let ignore_unknown = u32::from(config.ignore_unknown);
-        let job = self.uniform(FieldsUniform { magnitude_floor, ignore_unknown, ..FieldsUniform::default() })?;
+        let job =
+            self.uniform(FieldsUniform { magnitude_floor, ignore_unknown, ..FieldsUniform::default() })?;
         let mut commands = self.gpu.commands();
         let groups = Groups::of(self.numbers.len(), 64);
         commands.run(&kernels::AGREEMENT, &[&job, &self.fields], groups);

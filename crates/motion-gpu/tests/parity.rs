@@ -3,7 +3,9 @@
 use ffgs_core::{DenseMotion, ImageSize, Mask, TrackSet};
 use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::{FieldsError, ViewFields, supports};
-use ffgs_voronoi::{AgreementConfig, Method, MotionError, SourceFilter, VoronoiConfig, agreement, densify_view};
+use ffgs_voronoi::{
+    AgreementConfig, Method, MotionError, SourceFilter, VoronoiConfig, agreement, densify_view,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -35,11 +37,17 @@ fn assert_close(found: &DenseMotion, expected: &DenseMotion, what: &str) {
     let mut flips = 0;
     for p in 0..SIZE.pixels() {
         let (f, e) = (found.flow[p], expected.flow[p]);
-        let error = (f[0] - e[0]).abs().max((f[1] - e[1]).abs()).max((found.visibility[p] - expected.visibility[p]).abs());
+        let error = (f[0] - e[0])
+            .abs()
+            .max((f[1] - e[1]).abs())
+            .max((found.visibility[p] - expected.visibility[p]).abs());
         assert!(error < FLIP_TOLERANCE, "{what}, pixel {p}: {f:?}, not {e:?}");
         flips += usize::from(error > FLOW_TOLERANCE);
         let (f, e) = (found.confidence[p], expected.confidence[p]);
-        assert!((f - e).abs() <= 1e-4 * e + 1e-7 || error > FLOW_TOLERANCE, "{what}, pixel {p}: confidence {f}, not {e}");
+        assert!(
+            (f - e).abs() <= 1e-4 * e + 1e-7 || error > FLOW_TOLERANCE,
+            "{what}, pixel {p}: confidence {f}, not {e}"
+        );
     }
     assert!(flips as f64 <= FLIP_SHARE * SIZE.pixels() as f64, "{what}: {flips} pixels differ");
 }
@@ -108,7 +116,11 @@ fn agreement_agrees_for_one_to_three_trackers() {
             agreement(&mut expected, &config).unwrap();
             on_device.agree(&config).unwrap();
             for (l, expected) in expected.iter().enumerate() {
-                assert_close(&on_device.download(l).unwrap(), expected, &format!("tracker {l} of {trackers}"));
+                assert_close(
+                    &on_device.download(l).unwrap(),
+                    expected,
+                    &format!("tracker {l} of {trackers}"),
+                );
             }
         }
     }
@@ -134,7 +146,10 @@ fn planes_hold_what_association_sums() {
             let weight = inside * field.confidence[p] * x.hypot(y).max(floor);
             let found = [0, 1, 2, 3].map(|c| plane(1 + 4 * l + c, p));
             for (found, expected) in found.iter().zip([known, known * x, known * y, weight]) {
-                assert!((found - expected).abs() <= 1e-5 * expected.abs(), "pixel {p}: {found}, not {expected}");
+                assert!(
+                    (found - expected).abs() <= 1e-5 * expected.abs(),
+                    "pixel {p}: {found}, not {expected}"
+                );
             }
         }
     }

@@ -131,19 +131,34 @@ impl<'a> Lanes<'a> {
         Ok(())
     }
 
-    /// One depth-sorted render of Gaussians over the sky.
-    pub fn render(self, gaussians: &Gaussians, sky: &SkyCube, camera: &Camera) -> Result<PlanarImage> {
-        let mut background = PlanarImage::zeros(camera.size());
-        sky.render(&SkyView::new(camera, sky.face_size()), &mut background);
-        let view = View { camera, background: Background::Image(&background), tiles: None };
+    /// Depth-sorted renders of Gaussians over the sky; on a GPU several views in a submission.
+    pub fn render(
+        self,
+        gaussians: &Gaussians,
+        sky: &SkyCube,
+        cameras: &[Camera],
+    ) -> Result<Vec<PlanarImage>> {
         let options = RenderOptions { antialiased: true, sh_degree: None };
+        let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(sky, camera)).collect();
+        let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };
+        let views: Vec<View> = cameras.iter().zip(&behind).map(view).collect();
         if let Some(gpu) = self.gpu(0) {
-            return Ok(GpuRasterizer::new(gpu, options)?.render(gaussians, &view)?.image);
+            let rendered = GpuRasterizer::new(gpu, options)?.render_views(gaussians, &views)?;
+            return Ok(rendered.into_iter().map(|r| r.image).collect());
         }
-        let mut tape = RenderTape::default();
-        CpuRasterizer::new(options).render(gaussians, &view, &mut tape);
-        Ok(tape.image().clone())
+        let (rasterizer, mut tape) = (CpuRasterizer::new(options), RenderTape::default());
+        let render = |view| {
+            rasterizer.render(gaussians, view, &mut tape);
+            tape.image().clone()
+        };
+        Ok(views.iter().map(render).collect())
     }
+}
+
+fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
+    let mut picture = PlanarImage::zeros(camera.size());
+    sky.render(&SkyView::new(camera, sky.face_size()), &mut picture);
+    picture
 }
 
 /// A panic of a lane goes on here.

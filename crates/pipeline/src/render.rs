@@ -16,6 +16,8 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+/// Pictures held at a time.
+const VIEWS_AT_ONCE: usize = 8;
 /// Views of an orbit: two seconds of video.
 const ORBIT_VIEWS: usize = 60;
 /// Room left around the circled object: its outline is about two median distances from its middle.
@@ -115,9 +117,13 @@ pub fn render(args: &RenderArgs) -> Result<()> {
     let out = args.out.clone().unwrap_or_else(|| args.run.join("renders"));
     let gpus = args.device.open()?;
     let bar = progress(args.log.quiet, "views", views.len());
-    for (name, camera) in &views {
-        write_png(&out.join(name), &ImageRgb8::from(&render_layers(&layers, camera, Lanes(&gpus))?))?;
-        bar.inc(1);
+    for group in views.chunks(VIEWS_AT_ONCE) {
+        let cameras: Vec<Camera> = group.iter().map(|(_, camera)| *camera).collect();
+        let pictures = render_layers(&layers, &cameras, Lanes(&gpus))?;
+        for ((name, _), picture) in group.iter().zip(&pictures) {
+            write_png(&out.join(name), &ImageRgb8::from(picture))?;
+            bar.inc(1);
+        }
     }
     bar.finish_and_clear();
     println!("{}", out.display());

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, PlanarImage, write_atomically};
 use ffgs_dataset::{Capture, Split};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
-use ffgs_trainer::SkyCube;
+use ffgs_trainer::{SkyCube, TrainingView};
 use std::path::Path;
 
 /// The three layers of one frame.
@@ -21,9 +21,9 @@ pub struct Layers {
     pub sky: SkyCube,
 }
 
-/// One depth-sorted render of all layers over the sky.
-pub(crate) fn render(layers: &Layers, camera: &Camera, lanes: Lanes) -> Result<PlanarImage> {
-    lanes.render(&joint(layers), &layers.sky, camera)
+/// Depth-sorted renders of all layers over the sky.
+pub(crate) fn render(layers: &Layers, cameras: &[Camera], lanes: Lanes) -> Result<Vec<PlanarImage>> {
+    lanes.render(&joint(layers), &layers.sky, cameras)
 }
 
 fn joint(layers: &Layers) -> Gaussians {
@@ -83,11 +83,13 @@ pub(crate) fn score(
     folder: &Path,
     lanes: Lanes,
 ) -> Result<Vec<ViewMetrics>> {
-    let joint = joint(layers);
+    let views = capture.views(Split::Test);
+    let load = |v: usize| crate::frame::load_view(capture, Split::Test, v, frame);
+    let truths: Vec<TrainingView> = (0..views.len()).map(load).collect::<Result<_>>()?;
+    let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
+    let pictures = render(layers, &cameras, lanes)?;
     let mut all = Vec::new();
-    for (v, view) in capture.views(Split::Test).iter().enumerate() {
-        let truth = crate::frame::load_view(capture, Split::Test, v, frame)?;
-        let rendered = lanes.render(&joint, &layers.sky, &truth.camera)?;
+    for (v, ((view, truth), rendered)) in views.iter().zip(&truths).zip(pictures).enumerate() {
         write_png(&folder.join(format!("test/{}.png", view.name)), &ImageRgb8::from(&rendered))?;
         all.push(ViewMetrics {
             camera: view.name.clone(),

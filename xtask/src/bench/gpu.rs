@@ -131,8 +131,7 @@ fn row(line: &str) -> Result<Row> {
 }
 
 fn table(rows: &[Row]) -> String {
-    let mut out =
-        format!("{:<48} {:>12} {:>11} {:>11} {:>8}", "case", "time", "MB", "M operations", "share");
+    let mut out = format!("{:<48} {:>12} {:>11} {:>11} {:>8}", "case", "time", "MB", "M operations", "share");
     for row in rows {
         let [bytes, operations] =
             [0, 1].map(|k| row.work.map_or_else(String::new, |w| format!("{:.2}", w[k] / 1e6)));

@@ -24,8 +24,7 @@ pub fn dynamic(gpu: &Gpu, percent: u32, rows: &mut Rows) -> Result<()> {
     let mut failed: Option<GpuError> = None;
     let seconds = rows.time(|| {
         let mut layer = moving.clone();
-        let ran =
-            ffgs_trainer_gpu::train_dynamic(gpu, &config, &views, around, &mut layer, 1, &mut |_| {});
+        let ran = ffgs_trainer_gpu::train_dynamic(gpu, &config, &views, around, &mut layer, 1, &mut |_| {});
         failed = failed.take().or(ran.err());
     });
     failed.map_or(Ok(()), Err)?;
