@@ -147,7 +147,7 @@ impl<'a> ViewFields<'a> {
         }
         let ignore_unknown = u32::from(config.ignore_unknown);
         let job =
-            self.uniform(FieldsUniform { magnitude_floor, ignore_unknown, ..FieldsUniform::default() })?;
+            self.uniform(FieldsUniform { ignore_unknown, magnitude_floor, ..FieldsUniform::default() })?;
         let mut commands = self.gpu.commands();
         let groups = Groups::of(self.numbers.len(), 64);
         commands.run(&kernels::AGREEMENT, &[&job, &self.fields], groups);

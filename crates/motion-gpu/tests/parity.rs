@@ -113,7 +113,7 @@ fn agreement_agrees_for_one_to_three_trackers() {
                 // Both from what 16 bits keep.
                 *field = on_device.download(l).unwrap();
             }
-            agreement(&mut expected, &config).unwrap();
+            agreement(&mut expected, None, &config).unwrap();
             on_device.agree(&config).unwrap();
             for (l, expected) in expected.iter().enumerate() {
                 assert_close(

@@ -291,6 +291,7 @@ impl Evaluation {
             now: &now,
             frame,
             static_layer: &fixed,
+            gpu: None,
         };
         let mut outcome = MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
         let mut faults = Vec::new();

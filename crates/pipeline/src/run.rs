@@ -211,6 +211,7 @@ impl<'a> Job<'a> {
             now: &now,
             frame,
             static_layer: &layers.static_layer,
+            gpu: self.gpus.first(),
         };
         let motion = initialise(&input, &mut layers.dynamic)?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };

@@ -4,6 +4,7 @@ mod densify;
 mod fields;
 mod fuse;
 mod observe;
+mod on_gpu;
 mod triangulate;
 mod validate;
 mod withdraw;
@@ -16,6 +17,7 @@ use crate::config::Config;
 use crate::frame::TrainViews;
 use anyhow::Result;
 use ffgs_core::{Estimates, Gaussians, Observations};
+use ffgs_gpu::Gpu;
 use ffgs_report::StageSeconds;
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::TrainingView;
@@ -62,6 +64,8 @@ pub struct MotionInput<'a> {
     pub frame: usize,
     /// The static layer, which hides parts of the dynamic one.
     pub static_layer: &'a Gaussians,
+    /// Where motion fields and association are computed; `None` = the CPU.
+    pub gpu: Option<&'a Gpu>,
 }
 
 /// Counts and pictures' data of one frame's initialisation.
@@ -100,7 +104,10 @@ pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOu
     if *input.init == Init::None || dynamic.gaussians.is_empty() {
         return Ok(outcome);
     }
-    let mut observations = observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?;
+    let mut observations = match on_gpu::device(input) {
+        Some(gpu) => on_gpu::observe(gpu, input, &dynamic.gaussians, &mut outcome)?,
+        None => observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?,
+    };
     move_by(input, &mut observations, dynamic, &mut outcome)?;
     validate::validate_positions(input, dynamic, &mut outcome)?;
     densify::densify(input, dynamic, &mut outcome);

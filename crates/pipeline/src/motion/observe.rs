@@ -62,7 +62,7 @@ fn association<'a>(
 }
 
 /// Both layers without their colours, the moving one first.
-fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
+pub(super) fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
     let mut joint = Gaussians::empty(0);
     for layer in [moving, fixed] {
         joint.means.extend_from_slice(&layer.means);
@@ -75,7 +75,7 @@ fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
 }
 
 /// (V) of (L): where each view writes.
-fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> {
+pub(super) fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> {
     let views = observations.first().map_or(0, |o| o.views);
     let mut rows: Vec<Vec<Observed>> = (0..views).map(|_| Vec::new()).collect();
     for observation in observations {

@@ -1,0 +1,205 @@
+//! Lines 3 to 19 on a GPU: motion fields, agreement and association, view by view. CPU twin: [`super::observe`]. The fields
+//! stay on the device; tracks go there, and a Gaussian's sums come back.
+
+use super::fields::{load, selected_trackers};
+use super::observe::{rows, shapes};
+use super::{MotionInput, MotionOutcome, add_seconds};
+use anyhow::Result;
+use ffgs_core::{Gaussians, Observations, ViewMotion};
+use ffgs_gpu::Gpu;
+use ffgs_motion_gpu::ViewFields;
+use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
+use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes};
+use glam::DVec2;
+use std::time::Instant;
+
+/// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
+pub(super) fn device<'a>(input: &MotionInput<'a>) -> Option<&'a Gpu> {
+    let trackers = input.tracks.map_or(0, |store| store.trackers().len());
+    input.gpu.filter(|_| ffgs_motion_gpu::supports(&input.config.voronoi, trackers))
+}
+
+/// What every tracker says of every Gaussian of `gaussians` in every view. The device works on while the host loads the
+/// next file: the time of association holds what the fields still cost.
+pub(super) fn observe(
+    gpu: &Gpu,
+    input: &MotionInput,
+    gaussians: &Gaussians,
+    outcome: &mut MotionOutcome,
+) -> Result<Vec<Observations>> {
+    let trackers = selected_trackers(input, outcome);
+    let mut observations =
+        vec![Observations::unobserved(input.before.len(), gaussians.len()); trackers.len()];
+    let scene = GpuScene::upload(gpu, &shapes(gaussians, input.static_layer))?;
+    let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
+    let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
+    for (v, mut rows) in rows(&mut observations).into_iter().enumerate() {
+        if input.before[v].mask.count() > 0 {
+            let fields = view_fields(gpu, input, &trackers, v, outcome)?;
+            let start = Instant::now();
+            on_device.associate(input, v, &fields, outcome, &mut rows)?;
+            add_seconds(&mut outcome.seconds.association, start);
+        }
+    }
+    gpu.release_unused();
+    Ok(observations)
+}
+
+struct OnDevice<'a> {
+    gpu: &'a Gpu,
+    scene: GpuScene,
+    rasterizer: GpuRasterizer<'a>,
+}
+
+impl OnDevice<'_> {
+    /// Sums the fields of view `v` under the footprints. Waits for the device.
+    fn associate(
+        &mut self,
+        input: &MotionInput,
+        v: usize,
+        fields: &ViewFields,
+        outcome: &MotionOutcome,
+        rows: &mut [Observed],
+    ) -> Result<()> {
+        let view = &input.before[v];
+        let planes = fields.planes(input.config.association.flow_floor_px)?;
+        let planes = Planes { values: &planes, count: fields.plane_count() };
+        let tiles = TileMask::covering(&view.mask);
+        let frame =
+            View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
+        let sums = self.rasterizer.accumulate_planes(&self.scene, &frame, &planes, outcome.previous.len())?;
+        let config = &input.config.association;
+        for (i, &mean) in outcome.previous.iter().enumerate() {
+            let values = sums.of(i);
+            if values[0] <= config.min_coverage || sums.hits(i) < config.min_hits {
+                continue;
+            }
+            if let Some(projection) = view.camera.project(mean) {
+                place(i, projection.pixel, &values[1..], config.min_coverage, rows);
+            }
+        }
+        self.gpu.release_unused();
+        Ok(())
+    }
+}
+
+/// Writes what the trackers say of Gaussian `i`, seen at `pixel`: `values` are sums of known, flow x, flow y and weight a
+/// tracker.
+fn place(i: usize, pixel: DVec2, values: &[f32], min_coverage: f32, rows: &mut [Observed]) {
+    for (row, values) in rows.iter_mut().zip(values.chunks_exact(4)) {
+        let [known, x, y, weight] = [0, 1, 2, 3].map(|c| f64::from(values[c]));
+        if known > f64::from(min_coverage) && weight > 0.0 {
+            row.targets[i] = pixel + DVec2::new(x, y) / known;
+            row.weights[i] = weight;
+        }
+    }
+}
+
+/// Fields of every tracker in view `v`, weighted by their agreement.
+fn view_fields<'a>(
+    gpu: &'a Gpu,
+    input: &MotionInput,
+    trackers: &[usize],
+    v: usize,
+    outcome: &mut MotionOutcome,
+) -> Result<ViewFields<'a>> {
+    let mask = &input.before[v].mask;
+    let start = Instant::now();
+    let files = load(input, trackers, v)?;
+    add_seconds(&mut outcome.seconds.load, start);
+    let start = Instant::now();
+    let fields = ViewFields::new(gpu, mask, trackers.len())?;
+    for (l, file) in files.into_iter().enumerate() {
+        match outcome.count(file) {
+            None => {}
+            Some(ViewMotion::Dense(dense)) => fields.take(l, &dense)?,
+            Some(ViewMotion::Tracks(set)) => fields.densify(l, &input.config.voronoi, &set, mask)?,
+        }
+    }
+    add_seconds(&mut outcome.seconds.voronoi, start);
+    let start = Instant::now();
+    fields.agree(&input.config.agreement)?;
+    add_seconds(&mut outcome.seconds.agreement, start);
+    Ok(fields)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::positions;
+    use super::*;
+    use crate::cli::Init;
+    use crate::config::Config;
+    use crate::frame::{TrainViews, load_training};
+    use ffgs_dataset::Capture;
+    use ffgs_tracks::TrackStore;
+    use std::path::Path;
+
+    /// The initial points of the sample near its first car as Gaussians, and everything else as the static layer.
+    fn layers(capture: &Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Gaussians) {
+        let points = capture.initial_points().unwrap();
+        let all = ffgs_trainer::from_points(&points.positions, &points.colours, 0, 0.9);
+        let places = positions(&all);
+        let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..all.len()).partition(|&i| inside(places[i]));
+        (all.select(&moving), all.select(&fixed))
+    }
+
+    /// Both paths on views of the sample: the same Gaussians are seen, and go to the same pixels.
+    #[test]
+    fn observations_agree_with_the_cpu_on_the_sample() {
+        let Some(gpu) = Gpu::for_test() else { return };
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
+        let capture = Capture::open(&path).unwrap();
+        let store = TrackStore::open(&path).unwrap();
+        let names = ["trk000", "trk008"].map(str::to_owned);
+        let views = TrainViews::select(&capture, Some(&names)).unwrap();
+        let before = load_training(&capture, &views, 0).unwrap();
+        let config = Config::default();
+        let seen = |p: glam::DVec3| {
+            before.iter().all(|v| v.camera.pixel_of(p).is_some_and(|(x, y)| v.mask.contains(x, y)))
+        };
+        let (moving, fixed) = layers(&capture, seen);
+        let input = MotionInput {
+            config: &config,
+            init: &Init::Fused,
+            tracks: store.as_ref(),
+            views: &views,
+            before: &before,
+            now: &before,
+            frame: 1,
+            static_layer: &fixed,
+            gpu: Some(&gpu),
+        };
+        assert!(device(&input).is_some() && moving.len() > 100, "{} Gaussians", moving.len());
+        let outcome = || MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
+        let expected = super::super::observe(&input, &moving, &mut outcome(), &mut |_, _| {}).unwrap();
+        let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
+        assert_eq!(found.len(), expected.len());
+        for (l, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let entries = found.weights.len();
+            let mut apart: Vec<f64> =
+                (0..entries).map(|e| (found.targets[e] - expected.targets[e]).length()).collect();
+            apart.sort_by(f64::total_cmp);
+            println!(
+                "tracker {l}: apart {:?}",
+                [0.5, 0.9, 0.99, 0.999].map(|q| apart[(q * entries as f64) as usize])
+            );
+            let mut ratio: Vec<f64> = (0..entries)
+                .filter(|&e| expected.weights[e] > 0.0)
+                .map(|e| (found.weights[e] / expected.weights[e] - 1.0).abs())
+                .collect();
+            ratio.sort_by(f64::total_cmp);
+            println!(
+                "tracker {l}: ratio {:?} of {entries}",
+                [0.5, 0.9, 0.99, 0.999].map(|q| ratio[(q * ratio.len() as f64) as usize])
+            );
+            let differs = |e: &usize| {
+                let (f, c) = (found.weights[*e], expected.weights[*e]);
+                (found.targets[*e] - expected.targets[*e]).length() > 0.02
+                    || (f - c).abs() > 0.01 * c.max(0.1)
+            };
+            let (seen, different) =
+                (expected.weights.iter().filter(|w| **w > 0.0).count(), (0..entries).filter(differs).count());
+            assert!(seen > 50 && different * 100 <= seen, "tracker {l}: {different} of {seen} differ");
+        }
+    }
+}
