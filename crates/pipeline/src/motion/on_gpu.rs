@@ -175,31 +175,26 @@ mod tests {
         let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
         assert_eq!(found.len(), expected.len());
         for (l, (found, expected)) in found.iter().zip(&expected).enumerate() {
-            let entries = found.weights.len();
-            let mut apart: Vec<f64> =
-                (0..entries).map(|e| (found.targets[e] - expected.targets[e]).length()).collect();
-            apart.sort_by(f64::total_cmp);
-            println!(
-                "tracker {l}: apart {:?}",
-                [0.5, 0.9, 0.99, 0.999].map(|q| apart[(q * entries as f64) as usize])
-            );
-            let mut ratio: Vec<f64> = (0..entries)
-                .filter(|&e| expected.weights[e] > 0.0)
-                .map(|e| (found.weights[e] / expected.weights[e] - 1.0).abs())
-                .collect();
-            ratio.sort_by(f64::total_cmp);
-            println!(
-                "tracker {l}: ratio {:?} of {entries}",
-                [0.5, 0.9, 0.99, 0.999].map(|q| ratio[(q * ratio.len() as f64) as usize])
-            );
-            let differs = |e: &usize| {
-                let (f, c) = (found.weights[*e], expected.weights[*e]);
-                (found.targets[*e] - expected.targets[*e]).length() > 0.02
-                    || (f - c).abs() > 0.01 * c.max(0.1)
+            let seen = |o: &Observations| o.weights.iter().filter(|w| **w > 0.0).count();
+            assert!(seen(expected) > 1000 && seen(found).abs_diff(seen(expected)) * 200 < seen(expected));
+            let both = (0..found.weights.len()).filter(|&e| found.weights[e].min(expected.weights[e]) > 0.0);
+            let differences = both.map(|e| {
+                let apart = (found.targets[e] - expected.targets[e]).length();
+                [apart, (found.weights[e] / expected.weights[e] - 1.0).abs()]
+            });
+            let differences: Vec<[f64; 2]> = differences.collect();
+            let quantile = |which: usize, share: f64| {
+                let mut column: Vec<f64> = differences.iter().map(|d| d[which]).collect();
+                column.sort_by(f64::total_cmp);
+                column[(share * column.len() as f64) as usize]
             };
-            let (seen, different) =
-                (expected.weights.iter().filter(|w| **w > 0.0).count(), (0..entries).filter(differs).count());
-            assert!(seen > 50 && different * 100 <= seen, "tracker {l}: {different} of {seen} differ");
+            let [middle, most] = [0.5, 0.98].map(|share| [0, 1].map(|which| quantile(which, share)));
+            // Tracks on a grid are equally far from many pixels; which of them is the last neighbour is up to rounding.
+            assert!(
+                middle[0] < 0.01 && middle[1] < 0.005,
+                "tracker {l}: {middle:?} (px, share of the weight)"
+            );
+            assert!(most[0] < 0.5 && most[1] < 0.1, "tracker {l}: {most:?} (px, share of the weight)");
         }
     }
 }
