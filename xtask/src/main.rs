@@ -69,7 +69,8 @@ enum Command {
         #[command(flatten)]
         options: compare::Options,
     },
-    /// Time everything on the CPU, beside what the machine can do at best; docs/bench/README.md explains the table.
+    /// Time everything on the CPU, or a training step on a GPU, beside what the machine can do at best; docs/bench
+    /// explains the tables.
     Bench {
         #[command(flatten)]
         options: bench::Options,
