@@ -10,9 +10,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Sizes of the cases on a GPU.
+/// The cases on a GPU.
 #[derive(Args, Clone, Debug, Default)]
-pub struct Sizes {
+pub struct Cases {
     /// With --device gpu: image sizes [default: 320x180,1280x720,1920x1080].
     #[arg(long, value_name = "WxH,WxH")]
     sizes: Option<String>,
@@ -50,8 +50,8 @@ impl FromStr for Device {
 const TABLE: &str = "docs/bench/gpu.csv";
 
 /// Times the cases, prints the table and saves it with what says where it is from.
-pub fn run(root: &Path, adapter: Option<usize>, quick: bool, sizes: &Sizes, origin: &str) -> Result<()> {
-    let raw = measure(root, adapter, quick, sizes)?;
+pub fn run(root: &Path, adapter: Option<usize>, quick: bool, cases: &Cases, origin: &str) -> Result<()> {
+    let raw = measure(root, adapter, quick, cases)?;
     let rows = parse(&raw)?;
     println!("\n{}", table(&rows));
     let head: Vec<&str> = raw.lines().filter(|line| line.starts_with('#')).collect();
@@ -61,7 +61,7 @@ pub fn run(root: &Path, adapter: Option<usize>, quick: bool, sizes: &Sizes, orig
     Ok(())
 }
 
-fn measure(root: &Path, adapter: Option<usize>, quick: bool, sizes: &Sizes) -> Result<String> {
+fn measure(root: &Path, adapter: Option<usize>, quick: bool, cases: &Cases) -> Result<String> {
     let out = workspace::target(root).join("bench-gpu.csv");
     let mut command = workspace::cargo(root);
     command.args(["bench", "-p", "ffgs-trainer-gpu", "--bench", "gpu", "--", "--out"]).arg(&out);
@@ -70,9 +70,9 @@ fn measure(root: &Path, adapter: Option<usize>, quick: bool, sizes: &Sizes) -> R
     let options = [
         ("--adapter", &adapter),
         ("--samples", &samples),
-        ("--sizes", &sizes.sizes),
-        ("--counts", &sizes.counts),
-        ("--shares", &sizes.shares),
+        ("--sizes", &cases.sizes),
+        ("--counts", &cases.counts),
+        ("--shares", &cases.shares),
     ];
     for (name, value) in options {
         if let Some(value) = value {

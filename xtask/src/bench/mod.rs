@@ -31,7 +31,7 @@ pub struct Options {
     #[arg(long, default_value = "cpu", conflicts_with_all = ["filter", "run"])]
     device: gpu::Device,
     #[command(flatten)]
-    sizes: gpu::Sizes,
+    cases: gpu::Cases,
 }
 
 /// Where the table of a whole pass is kept.
@@ -41,7 +41,7 @@ const TABLE: &str = "docs/bench/cpu.csv";
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     if let gpu::Device::Gpu(adapter) = options.device {
         let origin = format!("host: {}; commit {}", machine(), commit(root));
-        return gpu::run(root, adapter, options.quick, &options.sizes, &origin);
+        return gpu::run(root, adapter, options.quick, &options.cases, &origin);
     }
     let start = SystemTime::now();
     measure(root, options)?;
