@@ -234,12 +234,9 @@ impl Gpu {
     }
 
     fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
-        self.poll(wgpu::PollType::Wait { submission_index, timeout: None })
-    }
-
-    fn poll(&self, poll: wgpu::PollType) -> Result<(), GpuError> {
         // wgpu panics when the driver reports the loss to this very call.
-        match catch_unwind(AssertUnwindSafe(|| self.device.poll(poll))) {
+        let poll = || self.device.poll(wgpu::PollType::Wait { submission_index, timeout: None });
+        match catch_unwind(AssertUnwindSafe(poll)) {
             Ok(polled) => polled.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string())),
             Err(_) => Err(GpuError::Lost("while waiting for it".to_owned())),
         }
@@ -249,8 +246,8 @@ impl Gpu {
     fn check(&self) -> Result<(), GpuError> {
         let known = || lock(&self.fault).clone();
         if let Some(GpuError::Refused(_)) = known() {
-            // On a lost device every command is refused, and wgpu tells of the loss only when it is polled.
-            self.poll(wgpu::PollType::Poll)?;
+            // On a lost device every command is refused; wgpu tells of the loss once nothing is in flight any more.
+            self.wait(None)?;
         }
         known().map_or(Ok(()), Err)
     }

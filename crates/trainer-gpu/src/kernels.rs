@@ -33,6 +33,7 @@ kernel!(LOSS_GRADIENT, "loss_gradient", [LOSS_STRUCT, LOSS]);
 kernel!(LOSS_VALUE, "loss_value", [LOSS_STRUCT]);
 kernel!(SQUARED_ERROR, "squared_error", [LOSS_STRUCT, LOSS]);
 kernel!(ADAM, "adam", [ADAM_STEP, LEDGER]);
+kernel!(CARRY, "carry", []);
 kernel!(ALPHA_PENALTY, "alpha_penalty", [VIEW]);
 kernel!(SKY_LAYERS, "sky_layers", [VIEW, SKY_STRUCT, SKY]);
 kernel!(SKY_GRADIENT, "sky_gradient", [VIEW, SKY_STRUCT, SKY]);
@@ -40,12 +41,13 @@ kernel!(SKY_ADAM, "sky_adam", [SKY_STRUCT, ADAM_STEP]);
 
 /// Every kernel of this crate.
 #[cfg(test)]
-pub(crate) const ALL: [Kernel; 9] = [
+pub(crate) const ALL: [Kernel; 10] = [
     LOSS_STATISTICS,
     LOSS_GRADIENT,
     LOSS_VALUE,
     SQUARED_ERROR,
     ADAM,
+    CARRY,
     ALPHA_PENALTY,
     SKY_LAYERS,
     SKY_GRADIENT,

@@ -25,6 +25,16 @@ pub(crate) struct AdamUniform {
     pub rates: [[f32; 4]; 12],
 }
 
+/// `Carry` of `shaders/trainer/carry.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct CarryUniform {
+    pub rows: u32,
+    pub width: u32,
+    pub dropped: u32,
+    pub padding: u32,
+}
+
 /// `Sky` of `shaders/common/sky_struct.wgsl`.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]

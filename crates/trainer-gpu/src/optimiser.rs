@@ -1,6 +1,5 @@
 use crate::kernels;
-use crate::layout::AdamUniform;
-use bytemuck::Pod;
+use crate::layout::{AdamUniform, CarryUniform};
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::{Geometry, GpuGradients, GpuScene, Ledger};
@@ -8,6 +7,10 @@ use ffgs_trainer::{IndexMap, LearningRates, bias_corrections};
 
 /// Invocations of the kernel.
 const GROUP: usize = 256;
+/// No row, or no column, of `carry`.
+const NEW: u32 = u32::MAX;
+/// Where a row of [`Geometry`] holds the opacity.
+const OPACITY_COLUMN: u32 = (std::mem::offset_of!(Geometry, opacity_logit) / 4) as u32;
 /// Values a Gaussian other than its colour.
 const GEOMETRY_WIDTH: usize = size_of::<Geometry>() / 4;
 
@@ -80,6 +83,12 @@ impl<'a> Optimiser<'a> {
         commands.run(&kernels::ADAM, &sh, Groups::of(n * self.sh_width(), GROUP));
     }
 
+    /// First and second moments. Waits for the device.
+    #[cfg(test)]
+    pub fn moments(&self) -> Result<[Gaussians; 2], GpuError> {
+        Ok([self.first.download(self.gpu)?, self.second.download(self.gpu)?])
+    }
+
     /// The Gaussians. Waits for the device.
     pub fn download(&self) -> Result<Gaussians, GpuError> {
         self.scene.download(self.gpu)
@@ -99,7 +108,10 @@ impl<'a> Optimiser<'a> {
         keep_opacity: bool,
     ) -> Result<(), GpuError> {
         let ledger = self.ledger()?;
-        let moments = [&self.first, &self.second].map(|m| self.carry(m, map, keep_opacity));
+        let number = |(&source, &keeps): (&usize, &bool)| if keeps { source as u32 } else { NEW };
+        let numbers: Vec<u32> = map.sources.iter().zip(&map.keeps_moments).map(number).collect();
+        let numbers = self.gpu.upload("sources", &numbers)?;
+        let moments = [&self.first, &self.second].map(|m| self.carry(m, &numbers, map.len(), keep_opacity));
         let carried = map.sources.iter().zip(&map.keeps_moments);
         let rows: Vec<Ledger> = carried
             .map(|(&source, &keeps)| Ledger {
@@ -116,32 +128,27 @@ impl<'a> Optimiser<'a> {
         Ok(())
     }
 
-    fn carry(&self, moments: &GpuScene, map: &IndexMap, keep_opacity: bool) -> Result<GpuScene, GpuError> {
+    /// Moments of `rows` Gaussians, each from the row that `numbers` names.
+    fn carry(
+        &self,
+        moments: &GpuScene,
+        numbers: &Buffer,
+        rows: usize,
+        keep_opacity: bool,
+    ) -> Result<GpuScene, GpuError> {
         let gpu = self.gpu;
-        let mut rows: Vec<Geometry> = gpu.download(&moments.geometry, moments.count)?;
-        if !keep_opacity {
-            rows.iter_mut().for_each(|row| row.opacity_logit = 0.0);
-        }
-        let width = self.sh_width();
-        let sh: Vec<f32> = gpu.download(&moments.sh, moments.count * width)?;
-        Ok(GpuScene {
-            geometry: gpu.upload("moments", &carried(&rows, 1, map))?,
-            sh: gpu.upload("moments of spherical harmonics", &carried(&sh, width, map))?,
-            count: map.len(),
-            sh_degree: moments.sh_degree,
-        })
+        let mut commands = gpu.commands();
+        let mut carried = |before: &Buffer, width: usize, dropped: u32| {
+            let after = gpu.buffer("moments", (rows * width * 4) as u64)?;
+            let job = CarryUniform { rows: rows as u32, width: width as u32, dropped, padding: 0 };
+            let job = gpu.uniform("carry", &job)?;
+            commands.run(&kernels::CARRY, &[&job, numbers, before, &after], Groups::of(rows * width, GROUP));
+            Ok::<_, GpuError>(after)
+        };
+        let dropped = if keep_opacity { NEW } else { OPACITY_COLUMN };
+        let geometry = carried(&moments.geometry, GEOMETRY_WIDTH, dropped)?;
+        let sh = carried(&moments.sh, self.sh_width(), NEW)?;
+        gpu.submit(commands)?;
+        Ok(GpuScene { geometry, sh, count: rows, sh_degree: moments.sh_degree })
     }
-}
-
-/// Rows of `width` values of the kept Gaussians, and zeros for new ones.
-fn carried<T: Pod>(values: &[T], width: usize, map: &IndexMap) -> Vec<T> {
-    let mut out = Vec::with_capacity(map.len() * width);
-    for (&source, &keeps) in map.sources.iter().zip(&map.keeps_moments) {
-        if keeps {
-            out.extend_from_slice(&values[source * width..(source + 1) * width]);
-        } else {
-            out.resize(out.len() + width, T::zeroed());
-        }
-    }
-    out
 }

@@ -10,8 +10,8 @@ use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::Ledger;
 use ffgs_trainer::{
-    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LearningRates, LossRegion,
-    PhotometricLoss, SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
+    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, IndexMap, LearningRates,
+    LossRegion, PhotometricLoss, SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
 };
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -174,6 +174,43 @@ fn steps_of_the_optimiser_agree() {
     assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
     assert!(close(&found.opacity_logits, &expected.opacity_logits));
     assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+}
+
+/// Moments after a step and a round of density control, with and without a reset of the opacities.
+#[test]
+fn moments_are_carried_over_a_round_of_density_control() {
+    let Some(gpu) = Gpu::for_test() else { return };
+    let (start, gradient) = (blob(5, [0.0; 3], 1.0, 3), blob(5, [0.0; 3], 1.0, 4));
+    let map = IndexMap { sources: vec![0, 2, 3, 2, 4], keeps_moments: vec![true, true, true, false, false] };
+    for keep_opacity in [true, false] {
+        let mut optimiser = Optimiser::new(&gpu, &start).unwrap();
+        let mut adam = Adam::new(start.len(), start.sh_degree());
+        let rates = LearningRates::with_means(1e-3);
+        adam.step(&mut start.clone(), &gradient, &rates, Update::Dense);
+        let rows: Vec<_> = (0..5).map(|i| ffgs_rasterizer_gpu::Geometry::of(&gradient, i)).collect();
+        gpu.write(&optimiser.gradients.scene.geometry, &rows);
+        gpu.write(&optimiser.gradients.scene.sh, &gradient.sh);
+        gpu.write(&optimiser.gradients.ledger, &[Ledger { stamp: 1, steps: 1, ..Ledger::default() }; 5]);
+        optimiser.prepare(&rates, 1);
+        let mut commands = gpu.commands();
+        optimiser.step(&mut commands);
+        gpu.submit(commands).unwrap();
+        optimiser.replace(&start, &map, keep_opacity).unwrap();
+        adam.remap(&map);
+        if !keep_opacity {
+            adam.reset_opacity();
+        }
+        let expected = [adam.first_moments(), adam.second_moments()];
+        for (found, expected) in optimiser.moments().unwrap().iter().zip(expected) {
+            let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-6 * b.abs());
+            assert!(close(found.means.as_flattened(), expected.means.as_flattened()));
+            assert!(close(found.quats.as_flattened(), expected.quats.as_flattened()));
+            assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
+            assert!(close(&found.opacity_logits, &expected.opacity_logits));
+            assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+            assert!(found.means[0] != [0.0; 3] && found.means[3] == [0.0; 3]);
+        }
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ use ffgs_core::{ImageSize, Mask};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer_gpu::{Counts, Floor, Part, Probe};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation over spacing, as trained scenes have it and as in the CPU's cases.
 const SPREAD: f32 = 0.45;
@@ -52,8 +52,8 @@ pub fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result
 /// Sum over the kernels of a part.
 fn floor_of(probe: &Probe, part: Part, counts: &Counts) -> Result<Option<Floor>> {
     let Some(times) = probe.times(part)? else { return Ok(None) };
-    let kernels: BTreeMap<&str, ()> = times.iter().map(|t| (t.kernel, ())).collect();
-    let floors = kernels.keys().filter_map(|kernel| counts.floor(kernel));
+    let kernels: BTreeSet<&str> = times.iter().map(|t| t.kernel).collect();
+    let floors = kernels.iter().filter_map(|kernel| counts.floor(kernel));
     Ok(Some(floors.fold(Floor::default(), |sum, f| Floor {
         bytes: sum.bytes + f.bytes,
         operations: sum.operations + f.operations,
