@@ -100,7 +100,7 @@ pub fn hardware_adapters() -> Vec<usize> {
 
 fn equal_to_best(reports: &[AdapterReport]) -> Vec<usize> {
     let Some(best) = best(reports).filter(|report| !report.software) else { return Vec::new() };
-    let kind = |r: &AdapterReport| (r.name.clone(), r.driver.clone(), r.backend.clone());
+    let kind = |r: &AdapterReport| (r.software, r.name.clone(), r.driver.clone(), r.backend.clone());
     let equal = reports.iter().filter(|r| r.obstacle.is_none() && kind(r) == kind(best));
     equal.map(|r| r.index).take(MOST_ADAPTERS).collect()
 }
