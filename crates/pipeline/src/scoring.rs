@@ -56,6 +56,12 @@ fn is_fixed(capture: &Capture, view: usize) -> bool {
     (1..capture.frames_of(Split::Test)).all(|t| capture.camera(Split::Test, view, t).ok() == first)
 }
 
+/// The test views of a frame.
+fn load_tests(capture: &Capture, frame: usize) -> Result<Vec<TrainingView>> {
+    let load = |v: usize| crate::frame::load_view(capture, Split::Test, v, frame);
+    (0..capture.views(Split::Test).len()).map(load).collect()
+}
+
 /// Mean foreground PSNR (dB) over the test views of `frame`, without pictures; `None` where nothing is in the foreground.
 pub(crate) fn mean_mpsnr(
     capture: &Capture,
@@ -63,14 +69,12 @@ pub(crate) fn mean_mpsnr(
     frame: usize,
     lanes: Lanes,
 ) -> Result<Option<f64>> {
-    let joint = joint(layers);
+    let mut truths = load_tests(capture, frame)?;
+    truths.retain(|truth| truth.mask.count() > 0);
+    let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
     let mut values = Vec::new();
-    for v in 0..capture.views(Split::Test).len() {
-        let truth = crate::frame::load_view(capture, Split::Test, v, frame)?;
-        if truth.mask.count() > 0 {
-            let rendered = lanes.render(&joint, &layers.sky, &truth.camera)?;
-            values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
-        }
+    for (truth, rendered) in truths.iter().zip(render(layers, &cameras, lanes)?) {
+        values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
     }
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
 }
@@ -84,8 +88,7 @@ pub(crate) fn score(
     lanes: Lanes,
 ) -> Result<Vec<ViewMetrics>> {
     let views = capture.views(Split::Test);
-    let load = |v: usize| crate::frame::load_view(capture, Split::Test, v, frame);
-    let truths: Vec<TrainingView> = (0..views.len()).map(load).collect::<Result<_>>()?;
+    let truths = load_tests(capture, frame)?;
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
     let pictures = render(layers, &cameras, lanes)?;
     let mut all = Vec::new();
