@@ -36,8 +36,8 @@ pub enum Command {
     MotionEval(crate::motion_eval::MotionEvalArgs),
     /// List the GPUs, their limits and what each would be used as
     Devices,
-    /// Print the default configuration
-    Config,
+    /// Print the configuration, every key with its meaning
+    Config(crate::config_text::ConfigArgs),
     /// Run one stage on numpy arrays
     Stage(StageArgs),
 }
@@ -290,7 +290,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             crate::motion_eval::motion_eval(&args)?;
         }
         Command::Devices => device::list(),
-        Command::Config => crate::config_text::print_default()?,
+        Command::Config(args) => crate::config_text::print(&args)?,
         Command::Stage(args) => {
             start_log(args.log);
             stage::run(args.name, &args.input, &args.output, &args.device)?;

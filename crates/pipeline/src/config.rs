@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
-use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
+use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -124,6 +124,29 @@ impl Config {
         toml::from_str(&text).with_context(|| {
             format!("{} is not a valid configuration; `ffgs config` prints every key", path.display())
         })
+    }
+
+    /// The defaults with the paper's motion initialisation to the letter (Algorithms 1 and 2), apart from the number of
+    /// contributors a pixel.
+    pub fn literal() -> Self {
+        let defaults = Self::default();
+        Self {
+            voronoi: VoronoiConfig {
+                source_filter: SourceFilter::All,
+                use_visibility: false,
+                ..defaults.voronoi
+            },
+            agreement: AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false },
+            association: AssociationConfig {
+                flow_floor_px: 0.0,
+                withdraw_unseen: false,
+                rotate: Rotate::Nothing,
+                ..defaults.association
+            },
+            triangulation: TriangulationConfig::literal(),
+            fusion: FusionConfig::literal(),
+            ..defaults
+        }
     }
 
     /// As TOML.

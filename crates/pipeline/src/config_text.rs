@@ -2,19 +2,45 @@
 
 use crate::config::Config;
 use anyhow::Result;
+use clap::{Args, ValueEnum};
 
 const DOCUMENT: &str = include_str!("../../../docs/CONFIGURATION.md");
 const HEAD: &str = "\
-# Every key with its default. Pass a file with any of them as `ffgs run --config FILE`: keys left out keep their
+# Every key. Pass a file with any of them as `ffgs run --config FILE`: keys left out keep their
 # defaults, unknown keys are errors, and command-line options win over the file.
 # Units: px, m, seconds; rates are Adam step sizes.
 ";
 /// Longest line of a comment.
 const WIDTH: usize = 110;
 
-/// Prints the default configuration.
-pub fn print_default() -> Result<()> {
-    print!("{HEAD}{}", commented(&Config::default().to_toml()?));
+/// `ffgs config`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    after_help = "Examples:\n  ffgs config > settings.toml\n  ffgs config --preset literal > literal.toml"
+)]
+pub struct ConfigArgs {
+    /// Which settings
+    #[arg(long, value_enum, default_value_t)]
+    preset: Preset,
+}
+
+/// Whole sets of settings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Preset {
+    /// What every option defaults to
+    #[default]
+    Default,
+    /// The defaults with the paper's motion initialisation to the letter
+    Literal,
+}
+
+/// Prints a configuration.
+pub fn print(args: &ConfigArgs) -> Result<()> {
+    let config = match args.preset {
+        Preset::Default => Config::default(),
+        Preset::Literal => Config::literal(),
+    };
+    print!("{HEAD}{}", commented(&config.to_toml()?));
     Ok(())
 }
 

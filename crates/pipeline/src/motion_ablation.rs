@@ -3,7 +3,7 @@
 use crate::config::Config;
 use ffgs_fusion::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use ffgs_triangulation::TriangulationConfig;
-use ffgs_voronoi::{AgreementConfig, Method, SourceFilter};
+use ffgs_voronoi::{Method, SourceFilter};
 
 /// A name and what it changes in the configuration.
 pub type Ablation = (&'static str, fn(&mut Config));
@@ -11,11 +11,11 @@ pub type Ablation = (&'static str, fn(&mut Config));
 /// In the order of the stages.
 pub const ABLATIONS: [Ablation; 24] = [
     ("as configured", |_| {}),
-    ("literal: Algorithms 1 and 2", literal),
+    ("literal: Algorithms 1 and 2", |c| *c = Config::literal()),
     ("literal fusion", |c| c.fusion = FusionConfig::literal()),
     ("rigid neighbourhoods for groups", |c| c.fusion.structure = Structure::RigidNeighbours),
     ("tracks of the whole image", |c| c.voronoi.source_filter = SourceFilter::All),
-    ("visibility in the confidence", |c| c.voronoi.use_visibility = true),
+    ("visibility not in the confidence", |c| c.voronoi.use_visibility = false),
     ("kernel twice as wide", |c| c.voronoi.sigma *= 2.0),
     ("kernel half as wide", |c| c.voronoi.sigma *= 0.5),
     ("natural neighbours", |c| c.voronoi.method = Method::NaturalNeighbour),
@@ -44,18 +44,6 @@ pub const ABLATIONS: [Ablation; 24] = [
     }),
     ("cells of 128", |c| c.fusion.groups.cell = 128),
 ];
-
-/// The seed to the letter, apart from the number of contributors.
-pub fn literal(config: &mut Config) {
-    config.voronoi.source_filter = SourceFilter::All;
-    config.voronoi.use_visibility = false;
-    config.agreement = AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false };
-    config.association.flow_floor_px = 0.0;
-    config.association.withdraw_unseen = false;
-    config.association.rotate = crate::config::Rotate::Nothing;
-    config.triangulation = TriangulationConfig::literal();
-    config.fusion = FusionConfig::literal();
-}
 
 #[cfg(test)]
 mod tests {

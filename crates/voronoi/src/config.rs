@@ -48,7 +48,7 @@ impl Default for VoronoiConfig {
             k,
             sigma,
             source_filter: SourceFilter::default(),
-            use_visibility: false,
+            use_visibility: true,
         }
     }
 }
