@@ -7,6 +7,7 @@ use crate::gradients::{Gradients, PixelGradients};
 use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
+use crate::tile_lists::Entry;
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -118,7 +119,7 @@ impl TileUpstream {
 struct TileBackward<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
-    slots: &'a [u32],
+    slots: &'a [Entry],
     input: TileUpstream,
     entries: &'a mut [[f32; ENTRY]],
 }
@@ -202,7 +203,7 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
     }
 
     #[inline(always)]
-    fn end(&mut self, simd: S, entry: usize) {
+    fn end(&mut self, simd: S, place: usize) {
         let mut s = [0.0; ENTRY];
         for k in 0..ENTRY {
             s[k] = simd.reduce_sum_f32s(self.sums[k]);
@@ -212,6 +213,6 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
         let by_x = a * s[0];
         s[0] = by_x;
         s[1] = s[1] * inverse_yy - slope * by_x;
-        self.entries[entry] = s;
+        self.entries[place] = s;
     }
 }

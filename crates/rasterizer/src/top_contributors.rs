@@ -5,6 +5,7 @@ use crate::contract::View;
 use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
+use crate::tile_lists::Entry;
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -64,7 +65,7 @@ impl CpuRasterizer {
 struct TopTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
-    slots: &'a [u32],
+    slots: &'a [Entry],
     count: usize,
     best: &'a mut [(i32, f32)],
 }

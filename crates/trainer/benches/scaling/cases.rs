@@ -41,9 +41,8 @@ pub fn all() -> Vec<Case> {
     let size = |width, height| ImageSize { width, height };
     let (small, medium, large, full) = (size(320, 180), size(640, 360), size(1280, 720), size(1920, 1080));
     let case = |lane, gaussians, size, views| Case { lane, gaussians, size, views };
-    let mut cases: Vec<Case> = [20_000, 200_000, 1_000_000, 2_000_000]
-        .map(|n| case(Lane::FirstFrame, n, large, 4))
-        .into();
+    let mut cases: Vec<Case> =
+        [20_000, 200_000, 1_000_000, 2_000_000].map(|n| case(Lane::FirstFrame, n, large, 4)).into();
     cases.extend([small, medium, full].map(|s| case(Lane::FirstFrame, 200_000, s, 4)));
     cases.extend([16, 64].map(|v| case(Lane::FirstFrame, 200_000, medium, v)));
     cases.extend([1, 5, 20, 50].map(|p| case(Lane::Dynamic(p), 100_000, medium, 4)));
@@ -123,7 +122,8 @@ impl Case {
         let bytes: Vec<u8> = (0..self.size.pixels() * 3).map(|i| (i * 7919 % 251) as u8).collect();
         let image = ImageRgb8::new(self.size, bytes).expect("three bytes a pixel");
         let side = |v: usize| 0.02 * (v as f64 - 0.5 * self.views as f64);
-        let view = |v| TrainingView { camera: camera(self.size, side(v)), image: image.clone(), mask: self.mask() };
+        let view =
+            |v| TrainingView { camera: camera(self.size, side(v)), image: image.clone(), mask: self.mask() };
         (0..self.views).map(view).collect()
     }
 

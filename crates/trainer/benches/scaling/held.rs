@@ -39,7 +39,13 @@ pub fn first_frame(gaussians: &Gaussians, size: ImageSize, views: usize) -> usiz
 
 /// The dynamic lane: both layers, the photographs, and for each pixel of a computed tile what the static layer shows in
 /// front and behind, the transmittance between (7 f32), and the region (1).
-pub fn dynamic(moving: &Gaussians, still: &Gaussians, size: ImageSize, tiles: &TileMask, views: usize) -> usize {
+pub fn dynamic(
+    moving: &Gaussians,
+    still: &Gaussians,
+    size: ImageSize,
+    tiles: &TileMask,
+    views: usize,
+) -> usize {
     const CACHED: usize = 4 * 7 + 1;
     let active = tiles.count() * 256;
     let layers = moving.len() * TRAINED + still.len() * FROZEN;

@@ -14,7 +14,8 @@ mod memory;
 use cases::{Case, all};
 use std::process::Command;
 
-const HEADER: &str = "lane,gaussians,width,height,views,foreground,threads,setup_s,step_ms,peak_mib,held_mib,ratio";
+const HEADER: &str =
+    "lane,gaussians,width,height,views,foreground,threads,setup_s,step_ms,peak_mib,held_mib,ratio";
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
