@@ -192,11 +192,6 @@ impl SplitLayers {
         self.transmittance.clear();
         self.transmittance.resize(size.pixels(), 1.0);
     }
-
-    /// Frees what only the render needed; a cached layer keeps its images alone.
-    pub fn shrink(&mut self) {
-        self.tiles = Vec::new();
-    }
 }
 
 /// A plane a channel, and 1 in the pixels that count.
