@@ -13,6 +13,7 @@ use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, SplitLayers, TileDepths, TileMask, View,
 };
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -307,15 +308,15 @@ fn compose(cached: &CachedView, dynamic: &PlanarImage, image: &mut PlanarImage) 
 fn for_each_run(
     image: &mut PlanarImage,
     runs: &[Range<usize>],
-    mut visit: impl FnMut(usize, Range<usize>, Range<usize>, &mut [f32]),
+    visit: impl Fn(usize, Range<usize>, Range<usize>, &mut [f32]) + Sync,
 ) {
     let pixels = image.size().pixels();
-    for (channel, plane) in image.data_mut().chunks_exact_mut(pixels).enumerate() {
+    image.data_mut().par_chunks_exact_mut(pixels).enumerate().for_each(|(channel, plane)| {
         let mut start = 0;
         for run in runs {
             let at = start..start + run.len();
             start = at.end;
             visit(channel, run.clone(), at, &mut plane[run.clone()]);
         }
-    }
+    });
 }

@@ -3,6 +3,7 @@
 //! Faces in the order +x, -x, +y, -y, +z, -z of the world with OpenGL's orientation. Bilinear weights are clamped at
 //! the edge of a face: colour is constant over the outer half texel, and no texel is shared by two faces.
 
+use crate::simd::{Kernel, dispatch};
 use ffgs_core::{Camera, ImageRgb8, ImageSize, PlanarImage};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -236,11 +237,7 @@ impl SkyView {
         self.samples.resize(self.size.pixels(), Sample::default());
         let (rays, face_size) = (Rays::new(camera), self.face_size);
         let rows = self.samples.par_chunks_mut(self.size.width.max(1)).enumerate();
-        rows.for_each(|(y, row)| {
-            for (x, sample) in row.iter_mut().enumerate() {
-                *sample = sample_of(rays.through(x, y), face_size);
-            }
-        });
+        rows.for_each(|(y, samples)| dispatch(AimRow { rays: &rays, face_size, y, samples }));
     }
 
     /// Image size.
@@ -296,35 +293,54 @@ impl Rays {
     }
 }
 
-#[inline(always)]
-fn sample_of(direction: Vec3, face_size: usize) -> Sample {
-    let (face, s, t) = face_coordinates(direction);
-    let (column, right) = between_texels(s, face_size);
-    let (row, below) = between_texels(t, face_size);
-    Sample { first: ((face * face_size + row) * face_size + column) as u32, right, below }
+/// One row of [`SkyView::aim`].
+struct AimRow<'a> {
+    rays: &'a Rays,
+    face_size: usize,
+    y: usize,
+    samples: &'a mut [Sample],
 }
 
-/// Lower of the two texels that `s` (-1..=1 across a face of `size`) lies between, and how far beyond its centre.
-#[inline(always)]
-fn between_texels(s: f32, size: usize) -> (usize, f32) {
-    let position = (s.midpoint(1.0) * size as f32 - 0.5).clamp(0.0, (size - 1) as f32);
-    let low = (position as usize).min(size.saturating_sub(2));
-    (low, position - low as f32)
-}
-
-/// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19).
-#[inline(always)]
-fn face_coordinates(d: Vec3) -> (usize, f32, f32) {
-    let size = d.abs();
-    if size.x >= size.y && size.x >= size.z {
-        if d.x > 0.0 { (0, -d.z / size.x, -d.y / size.x) } else { (1, d.z / size.x, -d.y / size.x) }
-    } else if size.y >= size.z {
-        if d.y > 0.0 { (2, d.x / size.y, d.z / size.y) } else { (3, d.x / size.y, -d.z / size.y) }
-    } else if d.z > 0.0 {
-        (4, d.x / size.z, -d.y / size.z)
-    } else {
-        (5, -d.x / size.z, -d.y / size.z)
+impl Kernel for AimRow<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let (face, last) = (self.face_size as f32, self.face_size.saturating_sub(2) as f32);
+        for (x, sample) in self.samples.iter_mut().enumerate() {
+            let (number, s, t) = face_coordinates(self.rays.through(x, self.y));
+            let (column, right) = between_texels(s, face, last);
+            let (row, below) = between_texels(t, face, last);
+            // Below 2^24 texels a float counts exactly, and its conversion is one instruction for a whole vector.
+            *sample = Sample { first: ((number * face + row) * face + column) as i32 as u32, right, below };
+        }
     }
+}
+
+/// Lower of the two texels that `s` (-1..=1 across a face of `size`) lies between, at most `last`, and how far beyond
+/// its centre.
+#[inline(always)]
+fn between_texels(s: f32, size: f32, last: f32) -> (f32, f32) {
+    let position = ((0.5 * s + 0.5) * size - 0.5).max(0.0).min(size - 1.0);
+    let low = position.floor().min(last);
+    (low, position - low)
+}
+
+/// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19). Selects and no branches, so that the
+/// loop over a row is vectorised.
+#[allow(clippy::needless_bitwise_bool)]
+#[inline(always)]
+fn face_coordinates(d: Vec3) -> (f32, f32, f32) {
+    let size = d.abs();
+    let along_x = (size.x >= size.y) & (size.x >= size.z);
+    let along_y = size.y >= size.z;
+    let pick = |x: f32, y: f32, z: f32| {
+        let other = if along_y { y } else { z };
+        if along_x { x } else { other }
+    };
+    let major = pick(d.x, d.y, d.z);
+    let sign = if major > 0.0 { 1.0 } else { -1.0 };
+    let inverse = 1.0 / major.abs();
+    let face = pick(0.0, 2.0, 4.0) + if major > 0.0 { 0.0 } else { 1.0 };
+    (face, pick(-d.z * sign, d.x, d.x * sign) * inverse, pick(-d.y, d.z * sign, -d.y) * inverse)
 }
 
 /// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
