@@ -34,6 +34,9 @@ pub struct Options {
     device: gpu::Device,
     #[command(flatten)]
     cases: gpu::Cases,
+    /// Time nothing: make the whole table from what filtered passes left.
+    #[arg(long, conflicts_with = "filter")]
+    collect: bool,
     /// How time and peak memory grow with Gaussians, pixels, views and foreground; a word after it selects cases.
     #[arg(long)]
     scaling: bool,
@@ -55,8 +58,10 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if options.scaling {
         return scaling(root, options);
     }
-    let start = SystemTime::now();
-    measure(root, options)?;
+    let start = if options.collect { SystemTime::UNIX_EPOCH } else { SystemTime::now() };
+    if !options.collect {
+        measure(root, options)?;
+    }
     let folder = workspace::target(root).join("criterion");
     let cases = results::read(&folder, start)?;
     ensure!(!cases.is_empty(), "no case matches");

@@ -98,6 +98,7 @@ fn record(name: &str, case: &Step, contributions: u64) {
     let (g, tape, pixels) = (&case.gaussians, &case.tape, case.camera.size().pixels());
     let (count, colours, visible) = (g.len(), 3 * g.sh_stride(), tape.visible());
     let line = format!("{name},{count},{colours},{visible},{},{pixels},{contributions}\n", tape.tile_pairs());
+    std::fs::create_dir_all(&folder).expect("a folder for the counts");
     let path = std::path::Path::new(&folder).join("counts.csv");
     let file = std::fs::OpenOptions::new().create(true).append(true).open(path);
     file.and_then(|mut f| f.write_all(line.as_bytes())).expect("the counts are written");
