@@ -149,7 +149,7 @@ impl<'a> Cache<'a> {
     }
 
     /// Those with foreground.
-    fn views<'v>(mut self, views: &'v [TrainingView]) -> Vec<CachedView<'v>> {
+    fn views(mut self, views: &[TrainingView]) -> Vec<CachedView<'_>> {
         views.iter().filter(|v| v.mask.count() > 0).map(|v| self.view(v)).collect()
     }
 
