@@ -228,15 +228,19 @@ mod tests {
 
     /// Runs `op` with one instruction set: portable, AVX2, AVX-512; `false` where this machine does not have it.
     fn vectorised(set: usize, op: impl WithSimd<Output = ()>) -> bool {
-        match set {
-            0 => Some(Simd::vectorize(pulp::Scalar::new(), op)),
-            #[cfg(target_arch = "x86_64")]
-            1 => pulp::x86::V3::try_new().map(|simd| Simd::vectorize(simd, op)),
-            #[cfg(target_arch = "x86_64")]
-            2 => pulp::x86::V4::try_new().map(|simd| Simd::vectorize(simd, op)),
-            _ => None,
+        if set == 0 {
+            Simd::vectorize(pulp::Scalar::new(), op);
+            return true;
         }
-        .is_some()
+        #[cfg(target_arch = "x86_64")]
+        if let (1, Some(simd)) = (set, pulp::x86::V3::try_new()) {
+            Simd::vectorize(simd, op);
+            return true;
+        } else if let (2, Some(simd)) = (set, pulp::x86::V4::try_new()) {
+            Simd::vectorize(simd, op);
+            return true;
+        }
+        false
     }
 
     fn scene() -> (Gaussians, Camera) {
