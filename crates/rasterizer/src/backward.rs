@@ -7,6 +7,7 @@ use crate::gradients::{Gradients, PixelGradients};
 use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
+use crate::tile_lists::Entry;
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -118,7 +119,7 @@ impl TileUpstream {
 struct TileBackward<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
-    slots: &'a [u32],
+    slots: &'a [Entry],
     input: TileUpstream,
     entries: &'a mut [[f32; ENTRY]],
 }
@@ -202,7 +203,7 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
     }
 
     #[inline(always)]
-    fn end(&mut self, simd: S, entry: usize) {
+    fn end(&mut self, simd: S, place: usize) {
         let mut s = [0.0; ENTRY];
         for k in 0..ENTRY {
             s[k] = simd.reduce_sum_f32s(self.sums[k]);
@@ -212,6 +213,84 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
         let by_x = a * s[0];
         s[0] = by_x;
         s[1] = s[1] * inverse_yy - slope * by_x;
-        self.entries[entry] = s;
+        self.entries[place] = s;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contract::{Background, RenderOptions};
+    use crate::cpu::BlendTile;
+    use ffgs_core::{Camera, ImageSize, Intrinsics, PlanarImage};
+
+    const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
+
+    /// Runs `op` with one instruction set: portable, AVX2, AVX-512; `false` where this machine does not have it.
+    fn vectorised(set: usize, op: impl WithSimd<Output = ()>) -> bool {
+        if set == 0 {
+            Simd::vectorize(pulp::Scalar::new(), op);
+            return true;
+        }
+        #[cfg(target_arch = "x86_64")]
+        if let (1, Some(simd)) = (set, pulp::x86::V3::try_new()) {
+            Simd::vectorize(simd, op);
+            return true;
+        } else if let (2, Some(simd)) = (set, pulp::x86::V4::try_new()) {
+            Simd::vectorize(simd, op);
+            return true;
+        }
+        false
+    }
+
+    fn scene() -> (Gaussians, Camera) {
+        let mut g = Gaussians::zeros(40, 0);
+        for i in 0..g.len() {
+            let spread = |k: usize| ((i * k) % 17) as f32 / 17.0 - 0.5;
+            g.means[i] = [3.0 * spread(5), 2.0 * spread(7), 4.0 + spread(3)];
+            g.quats[i] = [1.0, spread(11), spread(13), spread(2)];
+            g.log_scales[i] = [-2.0 + spread(9), -1.5 + spread(4), -2.5];
+            g.opacity_logits[i] = 2.0 * spread(6);
+            g.sh[i] = [spread(8), spread(10), spread(12)];
+        }
+        let intrinsics = Intrinsics { fx: 40.0, fy: 42.0, cx: 24.0, cy: 16.0 };
+        (g, Camera::new(intrinsics, glam::DMat4::IDENTITY, SIZE).unwrap())
+    }
+
+    /// Pixels of all tiles and sums of all entries, with one instruction set.
+    fn both_passes(set: usize) -> Option<Vec<f32>> {
+        let (gaussians, camera) = scene();
+        let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
+        let mut tape = RenderTape::default();
+        CpuRasterizer::new(RenderOptions::default()).prepare(&gaussians, &view, &mut tape);
+        let mut upstream = PlanarImage::zeros(SIZE);
+        upstream.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (i as f32 * 0.1).sin());
+        let upstream = PixelGradients { image: &upstream, transmittance: None };
+        let mut out = Vec::new();
+        for tile in 0..tape.grid.count() {
+            let (start, end) = (tape.lists.starts[tile] as usize, tape.lists.starts[tile + 1] as usize);
+            let (slots, splats) = (&tape.lists.slots[start..end], &tape.splats[..]);
+            let (origin, mut pixels) = (tile_origin(tile, tape.grid), TilePixels::default());
+            let mut entries = vec![[0.0; ENTRY]; slots.len()];
+            vectorised(set, BlendTile { origin, splats, slots, out: &mut pixels }).then_some(())?;
+            let input = TileUpstream::new(&view, tape.grid, tile, &pixels, &upstream);
+            vectorised(set, TileBackward { origin, splats, slots, input, entries: &mut entries });
+            out.extend(pixels.rgb.iter().flat_map(|plane| plane.0));
+            out.extend(pixels.transmittance.0);
+            out.extend(entries.as_flattened());
+        }
+        Some(out)
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_within_rounding() {
+        let portable = both_passes(0).unwrap();
+        assert!(portable.iter().any(|v| v.abs() > 0.5));
+        for wide in [1, 2].into_iter().filter_map(both_passes) {
+            for (i, (a, b)) in portable.iter().zip(&wide).enumerate() {
+                // Fused and separate multiply-adds differ in the last bits, which sums over a tile add up.
+                assert!((a - b).abs() <= 2e-5 * a.abs().max(1.0), "value {i}: {a} and {b}");
+            }
+        }
     }
 }

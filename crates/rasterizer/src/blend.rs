@@ -1,6 +1,7 @@
 //! The walk over a tile's splats, front to back, shared by every pass that blends.
 
 use crate::projection::{MIN_ALPHA, Splat};
+use crate::tile_lists::Entry;
 use crate::tiles::TILE;
 use pulp::Simd;
 
@@ -50,8 +51,8 @@ pub(crate) trait Visitor<S: Simd> {
     fn begin(&mut self, simd: S, splat: &Splat);
     /// Some pixels of the splat count.
     fn visit(&mut self, simd: S, c: &Contribution<S>);
-    /// The splat ends; `entry` counts within the tile's list.
-    fn end(&mut self, simd: S, entry: usize);
+    /// The splat ends; `place` is where the tile keeps its sums.
+    fn end(&mut self, simd: S, place: usize);
 }
 
 /// `exp(-s)` for `s` in [0, 5.6] as the eighth power of a degree-6 polynomial for `exp` on [-0.7, 0]
@@ -127,7 +128,7 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     simd: S,
     origin: [usize; 2],
     splats: &[Splat],
-    slots: &[u32],
+    slots: &[Entry],
     transmittance: &mut TilePlane,
     visitor: &mut V,
 ) {
@@ -143,8 +144,8 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                 break;
             }
             // Splats lie anywhere in memory: loads that follow each other overlap.
-            for (copy, &slot) in batch.iter_mut().zip(&slots[entry..]) {
-                *copy = splats[slot as usize];
+            for (copy, ahead) in batch.iter_mut().zip(&slots[entry..]) {
+                *copy = splats[ahead.slot()];
             }
         }
         let splat = &batch[entry % BATCH];
@@ -201,7 +202,7 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                 visitor.visit(simd, &contribution);
             }
         }
-        visitor.end(simd, entry);
+        visitor.end(simd, slots[entry].place());
     }
 }
 

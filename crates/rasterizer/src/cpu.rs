@@ -5,7 +5,8 @@ use crate::block::{BLOCK, Block, Projected};
 use crate::compose::compose;
 use crate::contract::{Rasterizer, RenderOptions, View};
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
-use crate::tape::{ChunkSplats, RenderTape, TilePixels};
+use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
+use crate::tile_lists::Entry;
 use crate::tiles::{TILE, TileGrid, TileMask, cover};
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
@@ -13,6 +14,8 @@ use rayon::prelude::*;
 
 /// Gaussians projected as one unit of parallel work.
 const CHUNK: usize = 1024;
+/// Chunks a thread that are projected before they are appended: enough to share out evenly, few enough to stay in cache.
+const CHUNKS_AHEAD: usize = 8;
 
 /// The CPU rasterizer.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,8 +34,7 @@ impl CpuRasterizer {
         let size = view.camera.size();
         tape.grid = TileGrid::new(size);
         self.project(gaussians, view, tape);
-        concatenate(tape);
-        tape.lists.build(&tape.splats, &tape.spans, tape.grid, view.tiles);
+        tape.lists.finish(&tape.splats, &tape.spans, tape.grid, view.tiles);
         tape.pixels.resize_with(tape.grid.count(), TilePixels::default);
     }
 
@@ -47,11 +49,24 @@ impl CpuRasterizer {
             grid: tape.grid,
             mask: view.tiles,
         };
-        tape.chunks.resize_with(gaussians.len().div_ceil(CHUNK), ChunkSplats::default);
-        let arch = Arch::new();
-        tape.chunks.par_iter_mut().enumerate().for_each(|(c, out)| {
-            arch.dispatch(ProjectChunk { shared: &shared, first: c * CHUNK, out });
-        });
+        let RenderTape { chunks: [ready, next], splats, spans, lists, grid, .. } = tape;
+        splats.clear();
+        spans.clear();
+        lists.begin(*grid);
+        let mut append = Append { splats, spans, lists, grid: *grid, mask: view.tiles };
+        let (chunks, group) = (gaussians.len().div_ceil(CHUNK), CHUNKS_AHEAD * rayon::current_num_threads());
+        let buffers = group.min(chunks).max(next.len());
+        ready.resize_with(buffers, ChunkSplats::default);
+        next.resize_with(buffers, ChunkSplats::default);
+        let mut waiting = 0;
+        for first in (0..chunks).step_by(group) {
+            let count = group.min(chunks - first);
+            let (done, free) = (&ready[..waiting], &mut next[..count]);
+            rayon::join(|| append.all(done), || project_chunks(&shared, first, free));
+            std::mem::swap(ready, next);
+            waiting = count;
+        }
+        append.all(&ready[..waiting]);
     }
 }
 
@@ -130,22 +145,19 @@ pub(crate) fn tile_origin(tile: usize, grid: TileGrid) -> [usize; 2] {
     [tile % grid.columns * TILE, tile / grid.columns * TILE]
 }
 
-fn concatenate(tape: &mut RenderTape) {
-    tape.splats.clear();
-    tape.spans.clear();
-    for chunk in &tape.chunks {
-        let first_span = tape.spans.len() as u32;
-        tape.spans.extend_from_slice(&chunk.spans);
-        tape.splats
-            .extend(chunk.splats.iter().map(|&s| Splat { spans: (s.spans.0 + first_span, s.spans.1), ..s }));
-    }
+/// Projects consecutive chunks from number `first` on.
+fn project_chunks(shared: &Projection, first: usize, chunks: &mut [ChunkSplats]) {
+    let arch = Arch::new();
+    chunks.par_iter_mut().enumerate().for_each(|(c, out)| {
+        arch.dispatch(ProjectChunk { shared, first: (first + c) * CHUNK, out });
+    });
 }
 
 /// Blends one tile.
 pub(crate) struct BlendTile<'a> {
     pub(crate) origin: [usize; 2],
     pub(crate) splats: &'a [Splat],
-    pub(crate) slots: &'a [u32],
+    pub(crate) slots: &'a [Entry],
     pub(crate) out: &'a mut TilePixels,
 }
 

@@ -6,6 +6,7 @@ use crate::contract::View;
 use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
 use crate::projection::Splat;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel};
+use crate::tile_lists::Entry;
 use crate::tiles::TileGrid;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use pulp::{Arch, Simd, WithSimd};
@@ -113,7 +114,7 @@ impl CpuRasterizer {
         out.tiles.resize_with(grid.count(), TilePixels::default);
         pixels.par_iter_mut().zip(&mut out.tiles).enumerate().for_each(|(tile, (front, behind))| {
             let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-            let cut = slots.partition_point(|&s| splats[s as usize].depth < depths.0[tile]);
+            let cut = slots.partition_point(|s| splats[s.slot()].depth < depths.0[tile]);
             let origin = tile_origin(tile, *grid);
             arch.dispatch(BlendTile { origin, splats, slots: &slots[..cut], out: front });
             arch.dispatch(BlendTile { origin, splats, slots: &slots[cut..], out: behind });
@@ -144,7 +145,7 @@ impl TileDepths {
         let mut depths: Vec<f32> = (0..grid.count())
             .map(|t| {
                 let (start, end) = (lists.starts[t] as usize, lists.starts[t + 1] as usize);
-                lists.slots[start..end].first().map_or(f32::INFINITY, |&s| tape.splats[s as usize].depth)
+                lists.slots[start..end].first().map_or(f32::INFINITY, |s| tape.splats[s.slot()].depth)
             })
             .collect();
         for _ in 0..grid.columns.max(grid.rows) {
@@ -190,11 +191,6 @@ impl SplitLayers {
         self.behind.reset(size);
         self.transmittance.clear();
         self.transmittance.resize(size.pixels(), 1.0);
-    }
-
-    /// Frees what only the render needed; a cached layer keeps its images alone.
-    pub fn shrink(&mut self) {
-        self.tiles = Vec::new();
     }
 }
 
@@ -251,7 +247,7 @@ impl FootprintSums {
 struct SumTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
-    slots: &'a [u32],
+    slots: &'a [Entry],
     /// Gaussians from this index on are not summed.
     wanted: usize,
     planes: &'a [TilePlane],

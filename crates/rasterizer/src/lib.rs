@@ -1,6 +1,6 @@
 //! Differentiable rasterization of 3D Gaussians on the CPU.
 //!
-//! Projection (EWA), exact tile coverage, one depth sort, per-tile blending in 8 or 16 lanes, and a backward pass
+//! Projection (EWA), exact tile coverage, a depth sort a tile, blending in 8 or 16 lanes, and a backward pass
 //! that walks the same lists front to back. Every result is bit-identical for any number of threads: a tile is one
 //! unit of work, and per-Gaussian sums run over its tiles in a fixed order.
 //!
@@ -32,9 +32,9 @@ mod footprint;
 mod gradients;
 mod projection;
 mod projection_backward;
-mod sort;
 mod spherical_harmonics;
 mod tape;
+mod tile_lists;
 mod tiles;
 mod top_contributors;
 

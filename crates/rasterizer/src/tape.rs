@@ -2,7 +2,8 @@
 
 use crate::blend::{AREA, TilePlane};
 use crate::projection::Splat;
-use crate::tiles::{Span, TILE, TileGrid, TileLists};
+use crate::tile_lists::TileLists;
+use crate::tiles::{Span, TILE, TileGrid, TileMask};
 use ffgs_core::{ImageSize, PlanarImage};
 
 /// Blended colour (without background) and final transmittance of one tile.
@@ -31,14 +32,15 @@ pub struct RenderTape {
     pub(crate) image: PlanarImage,
     pub(crate) transmittance: Vec<f32>,
     pub(crate) grid: TileGrid,
-    pub(crate) chunks: Vec<ChunkSplats>,
+    /// Two groups of chunks: one is projected while the other is appended.
+    pub(crate) chunks: [Vec<ChunkSplats>; 2],
     pub(crate) splats: Vec<Splat>,
     pub(crate) spans: Vec<Span>,
     pub(crate) lists: TileLists,
     pub(crate) pixels: Vec<TilePixels>,
     /// Tiles that `image` shows.
     pub(crate) drawn: Vec<bool>,
-    /// Derivatives per (tile, splat) entry.
+    /// Derivatives per (tile, splat) entry, by its place.
     pub(crate) entry_gradients: Vec<[f32; 9]>,
     /// Splat slot of each Gaussian, or `u32::MAX`.
     pub(crate) slot_of: Vec<u32>,
@@ -50,7 +52,7 @@ impl Default for RenderTape {
             image: PlanarImage::zeros(ImageSize { width: 1, height: 1 }),
             transmittance: Vec::new(),
             grid: TileGrid::default(),
-            chunks: Vec::new(),
+            chunks: [Vec::new(), Vec::new()],
             splats: Vec::new(),
             spans: Vec::new(),
             lists: TileLists::default(),
@@ -86,6 +88,31 @@ impl RenderTape {
     /// Number of (tile, splat) pairs: the unit of blending work.
     pub fn tile_pairs(&self) -> usize {
         self.lists.len()
+    }
+}
+
+/// The parts of a tape that grow while chunks are appended.
+pub(crate) struct Append<'a> {
+    pub(crate) splats: &'a mut Vec<Splat>,
+    pub(crate) spans: &'a mut Vec<Span>,
+    pub(crate) lists: &'a mut TileLists,
+    pub(crate) grid: TileGrid,
+    pub(crate) mask: Option<&'a TileMask>,
+}
+
+impl Append<'_> {
+    /// Appends the splats of some chunks in their order, and counts them by tile.
+    pub(crate) fn all(&mut self, chunks: &[ChunkSplats]) {
+        for chunk in chunks {
+            let first = self.spans.len() as u32;
+            self.spans.extend_from_slice(&chunk.spans);
+            for splat in &chunk.splats {
+                let (start, count) = splat.spans;
+                let spans = &chunk.spans[start as usize..(start + count) as usize];
+                self.lists.count(spans, self.grid, self.mask);
+                self.splats.push(Splat { spans: (start + first, count), ..*splat });
+            }
+        }
     }
 }
 

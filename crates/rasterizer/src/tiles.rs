@@ -1,7 +1,6 @@
-//! Exact coverage of tiles by splats, and the depth-ordered list of every tile.
+//! Exact coverage of tiles by splats.
 
 use crate::projection::{Extent, Splat};
-use crate::sort::radix_sort;
 use ffgs_core::{ImageSize, Mask};
 use std::ops::Range;
 
@@ -162,89 +161,15 @@ impl Ellipse {
     }
 }
 
-/// Depth-ordered splat lists of all tiles.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct TileLists {
-    /// Tile `t` owns entries `starts[t]..starts[t + 1]`.
-    pub(crate) starts: Vec<u32>,
-    /// Splat slot per entry, front to back.
-    pub(crate) slots: Vec<u32>,
-    /// Splat `s` owns `entry_starts[s]..entry_starts[s + 1]` of `entries`.
-    pub(crate) entry_starts: Vec<u32>,
-    /// Entry numbers of each splat, in a fixed order.
-    pub(crate) entries: Vec<u32>,
-    order: Vec<(u32, u32)>,
-    scratch: Vec<(u32, u32)>,
-    cursors: Vec<u32>,
-}
-
-impl TileLists {
-    /// Number of (tile, splat) entries.
-    pub(crate) fn len(&self) -> usize {
-        self.slots.len()
-    }
-
-    /// Sorts by depth (ties by index) and deals the splats to their tiles.
-    pub(crate) fn build(
-        &mut self,
-        splats: &[Splat],
-        spans: &[Span],
-        grid: TileGrid,
-        mask: Option<&TileMask>,
-    ) {
-        self.order.clear();
-        self.order.extend(splats.iter().enumerate().map(|(slot, s)| (s.depth.to_bits(), slot as u32)));
-        radix_sort(&mut self.order, &mut self.scratch);
-        self.count(splats, spans, grid, mask);
-        self.deal(splats, spans, grid, mask);
-    }
-
-    fn count(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
-        self.starts.clear();
-        self.starts.resize(grid.count() + 1, 0);
-        self.entry_starts.clear();
-        self.entry_starts.push(0);
-        let mut total = 0;
-        for splat in splats {
-            for_each_tile(splat, spans, grid, mask, |tile| {
-                self.starts[tile + 1] += 1;
-                total += 1;
-            });
-            self.entry_starts.push(total);
-        }
-        for tile in 0..grid.count() {
-            self.starts[tile + 1] += self.starts[tile];
-        }
-    }
-
-    fn deal(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
-        let total = self.starts[grid.count()] as usize;
-        self.slots.resize(total, 0);
-        self.entries.resize(total, 0);
-        self.cursors.clear();
-        self.cursors.extend_from_slice(&self.starts[..grid.count()]);
-        for &(_, slot) in &self.order {
-            let mut rank = self.entry_starts[slot as usize] as usize;
-            for_each_tile(&splats[slot as usize], spans, grid, mask, |tile| {
-                let entry = self.cursors[tile];
-                self.cursors[tile] += 1;
-                self.slots[entry as usize] = slot;
-                self.entries[rank] = entry;
-                rank += 1;
-            });
-        }
-    }
-}
-
-fn for_each_tile(
-    splat: &Splat,
+/// Calls `visit(tile)` for the computed tiles of some spans, in their order.
+#[inline(always)]
+pub(crate) fn for_each_tile(
     spans: &[Span],
     grid: TileGrid,
     mask: Option<&TileMask>,
     mut visit: impl FnMut(usize),
 ) {
-    let (start, count) = (splat.spans.0 as usize, splat.spans.1 as usize);
-    for span in &spans[start..start + count] {
+    for span in spans {
         let row = span.row as usize * grid.columns;
         for tile in row + span.first as usize..row + span.end as usize {
             if mask.is_none_or(|m| m.active[tile]) {

@@ -5,6 +5,8 @@ use crate::contract::View;
 use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
+use crate::tile_lists::Entry;
+use crate::tiles::TILE;
 use ffgs_core::Gaussians;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -31,32 +33,26 @@ impl CpuRasterizer {
     ) -> TopContributors {
         self.prepare(gaussians, view, tape);
         let (size, grid, lists, splats) = (view.camera.size(), tape.grid, &tape.lists, &tape.splats);
-        let arch = Arch::new();
-        let tiles: Vec<Vec<(i32, f32)>> = (0..grid.count())
-            .into_par_iter()
-            .map(|tile| {
-                let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-                let mut best = vec![(-1, 0.0); AREA * count];
-                arch.dispatch(TopTile {
-                    origin: tile_origin(tile, grid),
-                    splats,
-                    slots,
-                    count,
-                    best: &mut best,
-                });
-                best
-            })
-            .collect();
+        let (arch, width) = (Arch::new(), size.width);
         let n = size.pixels() * count;
         let mut out = TopContributors { count, indices: vec![-1; n], weights: vec![0.0; n] };
-        for (tile, best) in tiles.iter().enumerate() {
-            for_each_pixel(size, grid, tile, |pixel, local| {
-                for k in 0..count {
-                    (out.indices[pixel * count + k], out.weights[pixel * count + k]) =
-                        best[local * count + k];
-                }
-            });
-        }
+        let band = (TILE * width * count).max(1);
+        let rows = out.indices.par_chunks_mut(band).zip(out.weights.par_chunks_mut(band)).enumerate();
+        rows.for_each(|(row, (indices, weights))| {
+            let mut best = vec![(-1, 0.0); AREA * count];
+            for tile in row * grid.columns..(row + 1) * grid.columns {
+                let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
+                best.fill((-1, 0.0));
+                let origin = tile_origin(tile, grid);
+                arch.dispatch(TopTile { origin, splats, slots, count, best: &mut best });
+                for_each_pixel(size, grid, tile, |pixel, local| {
+                    let first = (pixel - origin[1] * width) * count;
+                    for (k, &(index, weight)) in best[local * count..][..count].iter().enumerate() {
+                        (indices[first + k], weights[first + k]) = (index, weight);
+                    }
+                });
+            }
+        });
         out
     }
 }
@@ -64,7 +60,7 @@ impl CpuRasterizer {
 struct TopTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
-    slots: &'a [u32],
+    slots: &'a [Entry],
     count: usize,
     best: &'a mut [(i32, f32)],
 }

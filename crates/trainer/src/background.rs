@@ -3,7 +3,7 @@
 
 use crate::view::TrainingView;
 use crate::{LearningRates, SkyCube, SkyView};
-use ffgs_core::{Mask, PlanarImage};
+use ffgs_core::{Camera, ImageSize, Mask, PlanarImage};
 use serde::{Deserialize, Serialize};
 
 /// How the static lane finds its colours.
@@ -97,8 +97,21 @@ pub fn outside(view: &TrainingView, dilation: usize) -> Mask {
     Mask::new(grown.size(), inverse).unwrap_or_else(|| Mask::filled(grown.size(), true))
 }
 
-pub(crate) fn render_sky(sky: &SkyCube, view: &TrainingView) -> PlanarImage {
-    let mut out = PlanarImage::zeros(view.camera.size());
-    sky.render(&SkyView::new(&view.camera, sky.face_size()), &mut out);
-    out
+/// The sky behind one view after another, in the same memory.
+pub(crate) struct SkyBehind {
+    view: Option<SkyView>,
+    image: PlanarImage,
+}
+
+impl SkyBehind {
+    pub(crate) fn new() -> Self {
+        Self { view: None, image: PlanarImage::zeros(ImageSize { width: 1, height: 1 }) }
+    }
+
+    pub(crate) fn render(&mut self, sky: &SkyCube, camera: &Camera) -> &PlanarImage {
+        let view = self.view.get_or_insert_with(|| SkyView::new(camera, sky.face_size()));
+        view.aim(camera);
+        sky.render(view, &mut self.image);
+        &self.image
+    }
 }

@@ -4,14 +4,16 @@
 //! image = front + T_front (dynamic over behind). A step then touches only the moving Gaussians and the tiles under
 //! the dilated mask.
 
+use crate::background::SkyBehind;
 use crate::schedule::{Epochs, decay};
 use crate::view::{Progress, Running, TrainingView};
-use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, Update};
+use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, SkyCube, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, SplitLayers, TileDepths, TileMask, View,
 };
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -84,15 +86,20 @@ pub struct Surroundings<'a> {
 /// Pixels around the mask whose tiles are computed: a splat that leaves the mask must still be seen there.
 pub const TILE_DILATION: usize = 4;
 
+/// What stays fixed of one view. Columns hold the pixels of the computed tiles only: nothing else of an image is read
+/// or written in a step, and memory grows with the foreground as time does.
 struct CachedView<'a> {
     view: &'a TrainingView,
     region: Mask,
     tiles: TileMask,
-    /// Pixels of `tiles`; nothing else of an image is read or written in a step.
+    /// Pixels of `tiles`.
     runs: Vec<Range<usize>>,
-    layers: SplitLayers,
-    /// Derivative of the alpha penalty with respect to transmittance, row-major.
-    penalty: Vec<f32>,
+    /// Static colour in front of the moving layer, channel by channel.
+    front: Vec<f32>,
+    /// Transmittance of that.
+    transmittance: Vec<f32>,
+    /// Static colour and sky behind the moving layer, channel by channel.
+    behind: Vec<f32>,
 }
 
 /// Finetunes `dynamic` on the foreground of `views`. Views without foreground are not used; with none left, or no
@@ -109,11 +116,8 @@ pub fn train_dynamic(
         return;
     }
     let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
-    let mut tape = RenderTape::default();
-    let used = views.iter().filter(|v| v.mask.count() > 0);
-    let cached: Vec<CachedView> =
-        used.map(|v| cache_view(config, &rasterizer, v, surroundings, dynamic, &mut tape)).collect();
-    let mut lane = Lane::new(config, &cached, rasterizer, dynamic, tape);
+    let cached = Cache::new(config, rasterizer, surroundings, dynamic).views(views);
+    let mut lane = Lane::new(config, &cached, rasterizer, dynamic);
     let mut epochs = Epochs::new((0..cached.len()).collect(), seed);
     for iteration in 0..config.iterations {
         let Some(index) = epochs.draw() else { return };
@@ -122,34 +126,59 @@ pub fn train_dynamic(
     }
 }
 
-fn cache_view<'a>(
-    config: &DynamicLaneConfig,
-    rasterizer: &CpuRasterizer,
-    view: &'a TrainingView,
-    around: Surroundings,
-    dynamic: &Gaussians,
-    tape: &mut RenderTape,
-) -> CachedView<'a> {
-    let camera = &view.camera;
-    let tiles = TileMask::covering(&view.mask.dilated(TILE_DILATION));
-    let mut background = PlanarImage::zeros(camera.size());
-    around.sky.render(&SkyView::new(camera, around.sky.face_size()), &mut background);
-    let frame = View { camera, background: Background::Image(&background), tiles: Some(&tiles) };
-    rasterizer.render(dynamic, &frame, tape);
-    let depths = TileDepths::nearest(tape);
-    let mut layers = SplitLayers::default();
-    rasterizer.render_split(around.static_layer, &frame, &depths, tape, &mut layers);
-    layers.shrink();
-    let region = view.mask.dilated(config.loss_dilation);
-    let weight = config.outside_alpha / view.mask.count() as f32;
-    let penalty = region
-        .data()
-        .iter()
-        .zip(&layers.transmittance)
-        .map(|(&inside, &t)| if inside == 0 { -weight * t } else { 0.0 })
-        .collect();
-    let runs = tiles.pixel_runs(camera.size());
-    CachedView { view, region, tiles, runs, layers, penalty }
+/// Makes the cached views, one after another in the same memory.
+struct Cache<'a> {
+    config: &'a DynamicLaneConfig,
+    rasterizer: CpuRasterizer,
+    around: Surroundings<'a>,
+    dynamic: &'a Gaussians,
+    tape: RenderTape,
+    sky: SkyBehind,
+    layers: SplitLayers,
+}
+
+impl<'a> Cache<'a> {
+    fn new(
+        config: &'a DynamicLaneConfig,
+        rasterizer: CpuRasterizer,
+        around: Surroundings<'a>,
+        dynamic: &'a Gaussians,
+    ) -> Self {
+        let (tape, sky, layers) = (RenderTape::default(), SkyBehind::new(), SplitLayers::default());
+        Self { config, rasterizer, around, dynamic, tape, sky, layers }
+    }
+
+    /// Those with foreground.
+    fn views(mut self, views: &[TrainingView]) -> Vec<CachedView<'_>> {
+        views.iter().filter(|v| v.mask.count() > 0).map(|v| self.view(v)).collect()
+    }
+
+    fn view<'v>(&mut self, view: &'v TrainingView) -> CachedView<'v> {
+        let camera = &view.camera;
+        let tiles = TileMask::covering(&view.mask.dilated(TILE_DILATION));
+        let background = Background::Image(self.sky.render(self.around.sky, camera));
+        let frame = View { camera, background, tiles: Some(&tiles) };
+        self.rasterizer.render(self.dynamic, &frame, &mut self.tape);
+        let depths = TileDepths::nearest(&self.tape);
+        let layers = &mut self.layers;
+        self.rasterizer.render_split(self.around.static_layer, &frame, &depths, &mut self.tape, layers);
+        let region = view.mask.dilated(self.config.loss_dilation);
+        let runs = tiles.pixel_runs(camera.size());
+        let (front, behind) = (cut_image(&layers.front, &runs), cut_image(&layers.behind, &runs));
+        let transmittance = cut(&layers.transmittance, &runs);
+        CachedView { view, region, tiles, runs, front, transmittance, behind }
+    }
+}
+
+/// The values of some runs of a plane, in exactly the memory they need.
+fn cut(plane: &[f32], runs: &[Range<usize>]) -> Vec<f32> {
+    let mut out = Vec::with_capacity(runs.iter().map(Range::len).sum());
+    runs.iter().for_each(|run| out.extend_from_slice(&plane[run.clone()]));
+    out
+}
+
+fn cut_image(image: &PlanarImage, runs: &[Range<usize>]) -> Vec<f32> {
+    [0, 1, 2].map(|c| cut(image.plane(c), runs)).concat()
 }
 
 /// Radius (m) around the median position that holds 90 % of the Gaussians: outliers must not set the step size.
@@ -181,6 +210,10 @@ struct Lane<'a> {
     gradients: Gradients,
     image: PlanarImage,
     pixel_gradient: PlanarImage,
+    /// Of the view at hand, meaningful in its computed tiles.
+    behind: PlanarImage,
+    /// Derivative of the alpha penalty with respect to transmittance, likewise.
+    penalty: Vec<f32>,
 }
 
 impl<'a> Lane<'a> {
@@ -189,7 +222,6 @@ impl<'a> Lane<'a> {
         cached: &'a [CachedView<'a>],
         rasterizer: CpuRasterizer,
         dynamic: &Gaussians,
-        tape: RenderTape,
     ) -> Self {
         let size = ImageSize { width: 1, height: 1 };
         Self {
@@ -199,29 +231,31 @@ impl<'a> Lane<'a> {
             extent: robust_extent(dynamic),
             adam: Adam::new(dynamic.len(), dynamic.sh_degree()),
             running: Running::default(),
-            tape,
+            tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             gradients: Gradients::default(),
             image: PlanarImage::zeros(size),
             pixel_gradient: PlanarImage::zeros(size),
+            behind: PlanarImage::zeros(size),
+            penalty: Vec::new(),
         }
     }
 
     fn step(&mut self, iteration: usize, index: usize, dynamic: &mut Gaussians) {
         let cached = &self.cached[index];
-        let layers = &cached.layers;
-        let background = Background::Image(&layers.behind);
+        self.unpack(cached);
+        let background = Background::Image(&self.behind);
         let frame = View { camera: &cached.view.camera, background, tiles: Some(&cached.tiles) };
         self.rasterizer.render(dynamic, &frame, &mut self.tape);
-        self.compose(cached);
+        compose(cached, self.tape.image(), &mut self.image);
         let region = LossRegion::Mask(&cached.region);
         let value = self.loss.evaluate(&self.image, &cached.view.image, region, &mut self.pixel_gradient);
         self.running.add(value.total, value.mse);
-        for_each_run(&mut self.pixel_gradient, &cached.runs, |_, run, gradient| {
-            gradient.iter_mut().zip(&layers.transmittance[run]).for_each(|(g, &t)| *g *= t);
+        for_each_run(&mut self.pixel_gradient, &cached.runs, |_, _, at, gradient| {
+            gradient.iter_mut().zip(&cached.transmittance[at]).for_each(|(g, &t)| *g *= t);
         });
         self.gradients.reset(dynamic.len(), dynamic.sh_degree());
-        let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: Some(&cached.penalty) };
+        let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: Some(&self.penalty) };
         self.rasterizer.backward(dynamic, &frame, &mut self.tape, &upstream, &mut self.gradients);
         let touched = Update::Touched(&self.gradients.touched);
         self.adam.step(
@@ -232,34 +266,57 @@ impl<'a> Lane<'a> {
         );
     }
 
-    /// `front + T_front * (dynamic over behind)`.
-    fn compose(&mut self, cached: &CachedView) {
-        let (layers, size) = (&cached.layers, cached.layers.front.size());
-        if self.image.size() != size {
+    /// Lays what is cached of a view into images of its size.
+    fn unpack(&mut self, cached: &CachedView) {
+        let size = cached.view.camera.size();
+        if self.behind.size() != size {
+            self.behind.reset(size);
             self.image.reset(size);
+            self.penalty.resize(size.pixels(), 0.0);
         }
-        let dynamic = self.tape.image();
-        for_each_run(&mut self.image, &cached.runs, |channel, run, out| {
-            let front = &layers.front.plane(channel)[run.clone()];
-            let dynamic = &dynamic.plane(channel)[run.clone()];
-            let through = &layers.transmittance[run];
-            for (((out, &front), &dynamic), &t) in out.iter_mut().zip(front).zip(dynamic).zip(through) {
-                *out = front + t * dynamic;
-            }
+        let pixels = cached.transmittance.len();
+        for_each_run(&mut self.behind, &cached.runs, |channel, _, at, out| {
+            out.copy_from_slice(&cached.behind[channel * pixels..][at]);
         });
+        let weight = self.config.outside_alpha / cached.view.mask.count() as f32;
+        let mut transmittance = cached.transmittance.iter();
+        for run in &cached.runs {
+            let region = &cached.region.data()[run.clone()];
+            for ((out, &inside), &t) in
+                self.penalty[run.clone()].iter_mut().zip(region).zip(&mut transmittance)
+            {
+                *out = if inside == 0 { -weight * t } else { 0.0 };
+            }
+        }
     }
 }
 
-/// Calls `visit(channel, run, values)` for every channel of the pixels in `runs`.
+/// `front + T_front * (dynamic over behind)`.
+fn compose(cached: &CachedView, dynamic: &PlanarImage, image: &mut PlanarImage) {
+    let pixels = cached.transmittance.len();
+    for_each_run(image, &cached.runs, |channel, run, at, out| {
+        let front = &cached.front[channel * pixels..][at.clone()];
+        let dynamic = &dynamic.plane(channel)[run];
+        let through = &cached.transmittance[at];
+        for (((out, &front), &dynamic), &t) in out.iter_mut().zip(front).zip(dynamic).zip(through) {
+            *out = front + t * dynamic;
+        }
+    });
+}
+
+/// Calls `visit(channel, run, place in the cached columns, values)` for every channel of the pixels in `runs`.
 fn for_each_run(
     image: &mut PlanarImage,
     runs: &[Range<usize>],
-    mut visit: impl FnMut(usize, Range<usize>, &mut [f32]),
+    visit: impl Fn(usize, Range<usize>, Range<usize>, &mut [f32]) + Sync,
 ) {
     let pixels = image.size().pixels();
-    for (channel, plane) in image.data_mut().chunks_exact_mut(pixels).enumerate() {
+    image.data_mut().par_chunks_exact_mut(pixels).enumerate().for_each(|(channel, plane)| {
+        let mut start = 0;
         for run in runs {
-            visit(channel, run.clone(), &mut plane[run.clone()]);
+            let at = start..start + run.len();
+            start = at.end;
+            visit(channel, run.clone(), at, &mut plane[run.clone()]);
         }
-    }
+    });
 }

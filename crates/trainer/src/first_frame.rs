@@ -3,13 +3,14 @@
 use crate::densify::{DensityConfig, DensityControl, ViewStatistics, reset_opacities};
 use crate::schedule::{Epochs, decay};
 use crate::view::{Progress, Running, TrainingView};
-use crate::{Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, Update};
+use crate::{
+    Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, TexelGradients, Update,
+};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, View,
 };
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How frame 0 is trained.
@@ -105,7 +106,8 @@ pub fn density_config(config: &FirstFrameConfig) -> DensityConfig {
 struct Training<'a> {
     config: &'a FirstFrameConfig,
     views: &'a [TrainingView],
-    sky_views: Vec<SkyView>,
+    /// Of the view at hand.
+    sky_view: Option<SkyView>,
     gaussians: Gaussians,
     sky: SkyCube,
     extent: f32,
@@ -118,8 +120,7 @@ struct Training<'a> {
     gradients: Gradients,
     background: PlanarImage,
     pixel_gradient: PlanarImage,
-    texel_gradient: Vec<[f32; 3]>,
-    texel_flags: Vec<bool>,
+    texel_gradients: TexelGradients,
     /// Not used by this method: all zero.
     radii: Vec<f32>,
 }
@@ -138,12 +139,11 @@ impl<'a> Training<'a> {
         Self {
             config,
             views,
-            sky_views: views.par_iter().map(|v| SkyView::new(&v.camera, sky.face_size())).collect(),
+            sky_view: None,
             adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
             sky_adam: AdamVec::new(sky.texels.len(), 3),
             density: DensityControl::new(density, gaussians.len(), seed),
-            texel_gradient: vec![[0.0; 3]; sky.texels.len()],
-            texel_flags: vec![false; sky.texels.len()],
+            texel_gradients: TexelGradients::new(sky.texels.len()),
             radii: Vec::new(),
             gaussians,
             sky,
@@ -161,7 +161,10 @@ impl<'a> Training<'a> {
         let view = &self.views[index];
         let degree = iteration * 10 / self.config.iterations.max(1);
         let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(degree) });
-        self.sky.render(&self.sky_views[index], &mut self.background);
+        let face_size = self.sky.face_size();
+        let sky_view = self.sky_view.get_or_insert_with(|| SkyView::new(&view.camera, face_size));
+        sky_view.aim(&view.camera);
+        self.sky.render(sky_view, &mut self.background);
         let frame =
             View { camera: &view.camera, background: Background::Image(&self.background), tiles: None };
         rasterizer.render(&self.gaussians, &frame, &mut self.tape);
@@ -171,10 +174,10 @@ impl<'a> Training<'a> {
         self.gradients.reset(self.gaussians.len(), self.gaussians.sh_degree());
         let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: None };
         rasterizer.backward(&self.gaussians, &frame, &mut self.tape, &upstream, &mut self.gradients);
-        self.update(iteration, index);
+        self.update(iteration);
     }
 
-    fn update(&mut self, iteration: usize, index: usize) {
+    fn update(&mut self, iteration: usize) {
         let c = self.config;
         let rate = decay(c.position_rate, c.position_rate_end, iteration, c.iterations) * self.extent;
         let rates = LearningRates {
@@ -184,28 +187,22 @@ impl<'a> Training<'a> {
         };
         let touched = &self.gradients.touched;
         self.adam.step(&mut self.gaussians, &self.gradients.gaussians, &rates, Update::Touched(touched));
-        self.update_sky(index);
+        self.update_sky();
         self.observe();
     }
 
-    /// Sparse in the texels that the view sees; the others' gradients and flags stay zero between steps.
-    fn update_sky(&mut self, index: usize) {
-        let view = &self.sky_views[index];
+    /// Sparse in the texels that the view sees.
+    fn update_sky(&mut self) {
+        let Some(view) = &self.sky_view else { return };
         let through = self.tape.transmittance();
         for plane in self.pixel_gradient.data_mut().chunks_exact_mut(through.len()) {
             plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t);
         }
-        view.backward(&self.pixel_gradient, &mut self.texel_gradient);
-        for &texel in view.texels() {
-            self.texel_flags[texel as usize] = self.texel_gradient[texel as usize] != [0.0; 3];
-        }
+        self.texel_gradients.clear();
+        view.backward(&self.pixel_gradient, &mut self.texel_gradients);
+        let TexelGradients { sums, touched, .. } = &self.texel_gradients;
         let texels = self.sky.texels.as_flattened_mut();
-        let gradient = self.texel_gradient.as_flattened();
-        self.sky_adam.step(texels, gradient, self.config.sky_rate, Update::Touched(&self.texel_flags));
-        for &texel in view.texels() {
-            self.texel_gradient[texel as usize] = [0.0; 3];
-            self.texel_flags[texel as usize] = false;
-        }
+        self.sky_adam.step(texels, sums.as_flattened(), self.config.sky_rate, Update::Touched(touched));
     }
 
     fn observe(&mut self) {

@@ -3,8 +3,9 @@
 //! Faces in the order +x, -x, +y, -y, +z, -z of the world with OpenGL's orientation. Bilinear weights are clamped at
 //! the edge of a face: colour is constant over the outer half texel, and no texel is shared by two faces.
 
+use crate::simd::{Kernel, dispatch};
 use ffgs_core::{Camera, ImageRgb8, ImageSize, PlanarImage};
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Colour of texels of which nothing is known.
@@ -88,8 +89,8 @@ impl SkyCube {
 
     fn colour(&self, sample: &Sample) -> [f32; 3] {
         let mut sum = Vec3::ZERO;
-        for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
-            sum += weight * Vec3::from(self.texels[texel as usize]);
+        for (texel, weight) in sample.shares(self.face_size) {
+            sum += weight * Vec3::from(self.texels[texel]);
         }
         sum.to_array()
     }
@@ -113,9 +114,9 @@ fn accumulate(sums: &mut [[f64; 4]], observation: &SkyObservation, min_transmitt
             continue;
         }
         let [r, g, b] = observation.image.pixel(i).map(f64::from);
-        for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
+        for (texel, weight) in sample.shares(observation.view.face_size) {
             let weight = f64::from(weight);
-            let sum = &mut sums[texel as usize];
+            let sum = &mut sums[texel];
             sum.iter_mut().zip([r, g, b, 1.0]).for_each(|(s, v)| *s += weight * v);
         }
     }
@@ -155,35 +156,88 @@ impl VerticalFit {
     }
 }
 
-/// The four texels of a pixel and their weights, which sum to 1.
+/// Where a pixel's ray meets the cube: the first of four neighbouring texels, and how far the ray lies beyond its centre.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sample {
-    texels: [u32; 4],
-    weights: [f32; 4],
+    first: u32,
+    right: f32,
+    below: f32,
 }
 
-/// Which texels every pixel of a camera sees: 32 bytes a pixel. Depends on the camera's rotation only.
+impl Sample {
+    /// The four texels and their weights, which sum to 1.
+    #[inline(always)]
+    fn shares(&self, face_size: usize) -> [(usize, f32); 4] {
+        let Self { right, below, .. } = *self;
+        let first = self.first as usize;
+        let (column, row) = if face_size > 1 { (1, face_size) } else { (0, 0) };
+        [
+            (first, (1.0 - below) * (1.0 - right)),
+            (first + column, (1.0 - below) * right),
+            (first + row, below * (1.0 - right)),
+            (first + row + column, below * right),
+        ]
+    }
+}
+
+/// Derivatives by the texels, and which texels have any: those to hand to a sparse Adam step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TexelGradients {
+    /// Sum of derivatives of each texel, (6 * `face_size`^2).
+    pub sums: Vec<[f32; 3]>,
+    /// Whether a texel received any.
+    pub touched: Vec<bool>,
+    list: Vec<u32>,
+}
+
+impl TexelGradients {
+    /// All zero, for a cube of so many texels.
+    pub fn new(texels: usize) -> Self {
+        Self { sums: vec![[0.0; 3]; texels], touched: vec![false; texels], list: Vec::new() }
+    }
+
+    /// Back to zero, at a cost of what was touched.
+    pub fn clear(&mut self) {
+        for texel in self.list.drain(..) {
+            self.sums[texel as usize] = [0.0; 3];
+            self.touched[texel as usize] = false;
+        }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, texel: usize, gradient: Vec3) {
+        if !self.touched[texel] {
+            self.touched[texel] = true;
+            self.list.push(texel as u32);
+        }
+        self.sums[texel] = (Vec3::from(self.sums[texel]) + gradient).to_array();
+    }
+}
+
+/// Which texels every pixel of a camera sees: 12 bytes a pixel. Depends on the camera's rotation only, and is made anew
+/// for each view in a fraction of a render: keep one and [`SkyView::aim`] it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SkyView {
     size: ImageSize,
     face_size: usize,
     samples: Vec<Sample>,
-    texels: Vec<u32>,
 }
 
 impl SkyView {
     /// Traces the ray through every pixel centre.
     pub fn new(camera: &Camera, face_size: usize) -> Self {
-        let size = camera.size();
-        let trace = |i: usize| {
-            let centre = DVec2::new((i % size.width) as f64 + 0.5, (i / size.width) as f64 + 0.5);
-            sample_of(camera.ray(centre), face_size)
-        };
-        let samples: Vec<Sample> = (0..size.pixels()).into_par_iter().map(trace).collect();
-        let mut seen = vec![false; 6 * face_size * face_size];
-        samples.iter().flat_map(|s| s.texels).for_each(|t| seen[t as usize] = true);
-        let texels = (0..seen.len() as u32).filter(|&t| seen[t as usize]).collect();
-        Self { size, face_size, samples, texels }
+        let mut out = Self { size: camera.size(), face_size, samples: Vec::new() };
+        out.aim(camera);
+        out
+    }
+
+    /// Replaces the camera; allocates only for a larger image.
+    pub fn aim(&mut self, camera: &Camera) {
+        self.size = camera.size();
+        self.samples.resize(self.size.pixels(), Sample::default());
+        let (rays, face_size) = (Rays::new(camera), self.face_size);
+        let rows = self.samples.par_chunks_mut(self.size.width.max(1)).enumerate();
+        rows.for_each(|(y, samples)| dispatch(AimRow { rays: &rays, face_size, y, samples }));
     }
 
     /// Image size.
@@ -191,77 +245,102 @@ impl SkyView {
         self.size
     }
 
-    /// Texels that this view sees, ascending: those to flag for a sparse Adam step and to clear after it.
-    pub fn texels(&self) -> &[u32] {
-        &self.texels
-    }
-
-    /// Adds the gradient by the texels to `texel_gradient` (6 * face_size^2), given the gradient by the pixels of
+    /// Adds the gradient by the texels to `out` (of 6 * `face_size`^2 texels), given the gradient by the pixels of
     /// [`SkyCube::render`] (that by the composite times the transmittance). Serial, so that the order of sums is fixed.
     ///
     /// # Panics
     /// When a size does not match.
-    pub fn backward(&self, pixel_gradient: &PlanarImage, texel_gradient: &mut [[f32; 3]]) {
+    pub fn backward(&self, pixel_gradient: &PlanarImage, out: &mut TexelGradients) {
         assert_eq!(pixel_gradient.size(), self.size, "gradient size");
-        assert_eq!(texel_gradient.len(), 6 * self.face_size * self.face_size, "texels");
+        assert_eq!(out.sums.len(), 6 * self.face_size * self.face_size, "texels");
         let [red, green, blue] = [0, 1, 2].map(|c| pixel_gradient.plane(c));
         for (i, sample) in self.samples.iter().enumerate() {
             let gradient = Vec3::new(red[i], green[i], blue[i]);
             if gradient == Vec3::ZERO {
                 continue;
             }
-            for (&texel, &weight) in sample.texels.iter().zip(&sample.weights) {
-                let sum = &mut texel_gradient[texel as usize];
-                *sum = (Vec3::from(*sum) + weight * gradient).to_array();
+            for (texel, weight) in sample.shares(self.face_size) {
+                if weight > 0.0 {
+                    out.add(texel, weight * gradient);
+                }
             }
         }
     }
 }
 
-fn sample_of(direction: DVec3, face_size: usize) -> Sample {
-    let (face, s, t) = face_coordinates(direction);
-    let (column, row) = (Bilinear::new(s, face_size), Bilinear::new(t, face_size));
-    let at = |y: usize, x: usize| ((face * face_size + y) * face_size + x) as u32;
-    let (right, below) = (column.fraction, row.fraction);
-    Sample {
-        texels: [
-            at(row.low, column.low),
-            at(row.low, column.high),
-            at(row.high, column.low),
-            at(row.high, column.high),
-        ],
-        weights: [(1.0 - below) * (1.0 - right), (1.0 - below) * right, below * (1.0 - right), below * right],
+/// Viewing rays of a camera in world axes, linear in the pixel; not of unit length.
+struct Rays {
+    first: Vec3,
+    right: Vec3,
+    down: Vec3,
+}
+
+impl Rays {
+    fn new(camera: &Camera) -> Self {
+        let (k, back) = (camera.intrinsics(), camera.rotation().transpose());
+        let first = back * DVec3::new((0.5 - k.cx) / k.fx, (0.5 - k.cy) / k.fy, 1.0);
+        Self {
+            first: first.as_vec3(),
+            right: (back.x_axis / k.fx).as_vec3(),
+            down: (back.y_axis / k.fy).as_vec3(),
+        }
+    }
+
+    /// Through the centre of a pixel.
+    #[inline(always)]
+    fn through(&self, column: usize, row: usize) -> Vec3 {
+        self.first + column as f32 * self.right + row as f32 * self.down
     }
 }
 
-/// Two neighbouring texels along one axis.
-struct Bilinear {
-    low: usize,
-    high: usize,
-    fraction: f32,
+/// One row of [`SkyView::aim`].
+struct AimRow<'a> {
+    rays: &'a Rays,
+    face_size: usize,
+    y: usize,
+    samples: &'a mut [Sample],
 }
 
-impl Bilinear {
-    /// `s` in -1..=1 across a face of `size` texels.
-    fn new(s: f64, size: usize) -> Self {
-        let position = (s.midpoint(1.0) * size as f64 - 0.5).clamp(0.0, (size - 1) as f64);
-        let low = position as usize;
-        Self { low, high: (low + 1).min(size - 1), fraction: (position - low as f64) as f32 }
+impl Kernel for AimRow<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let (face, last) = (self.face_size as f32, self.face_size.saturating_sub(2) as f32);
+        for (x, sample) in self.samples.iter_mut().enumerate() {
+            let (number, s, t) = face_coordinates(self.rays.through(x, self.y));
+            let (column, right) = between_texels(s, face, last);
+            let (row, below) = between_texels(t, face, last);
+            // Below 2^24 texels a float counts exactly, and its conversion is one instruction for a whole vector.
+            *sample = Sample { first: ((number * face + row) * face + column) as i32 as u32, right, below };
+        }
     }
 }
 
-/// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19).
-fn face_coordinates(d: DVec3) -> (usize, f64, f64) {
+/// Lower of the two texels that `s` (-1..=1 across a face of `size`) lies between, at most `last`, and how far beyond
+/// its centre.
+#[inline(always)]
+fn between_texels(s: f32, size: f32, last: f32) -> (f32, f32) {
+    let position = ((0.5 * s + 0.5) * size - 0.5).max(0.0).min(size - 1.0);
+    let low = position.floor().min(last);
+    (low, position - low)
+}
+
+/// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19). Selects and no branches, so that the
+/// loop over a row is vectorised.
+#[allow(clippy::needless_bitwise_bool)]
+#[inline(always)]
+fn face_coordinates(d: Vec3) -> (f32, f32, f32) {
     let size = d.abs();
-    if size.x >= size.y && size.x >= size.z {
-        if d.x > 0.0 { (0, -d.z / size.x, -d.y / size.x) } else { (1, d.z / size.x, -d.y / size.x) }
-    } else if size.y >= size.z {
-        if d.y > 0.0 { (2, d.x / size.y, d.z / size.y) } else { (3, d.x / size.y, -d.z / size.y) }
-    } else if d.z > 0.0 {
-        (4, d.x / size.z, -d.y / size.z)
-    } else {
-        (5, -d.x / size.z, -d.y / size.z)
-    }
+    let along_x = (size.x >= size.y) & (size.x >= size.z);
+    let along_y = size.y >= size.z;
+    let pick = |x: f32, y: f32, z: f32| {
+        let other = if along_y { y } else { z };
+        if along_x { x } else { other }
+    };
+    let major = pick(d.x, d.y, d.z);
+    let sign = if major > 0.0 { 1.0 } else { -1.0 };
+    let inverse = 1.0 / major.abs();
+    let face = pick(0.0, 2.0, 4.0) + if major > 0.0 { 0.0 } else { 1.0 };
+    (face, pick(-d.z * sign, d.x, d.x * sign) * inverse, pick(-d.y, d.z * sign, -d.y) * inverse)
 }
 
 /// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
@@ -283,7 +362,7 @@ fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
 mod tests {
     use super::*;
     use ffgs_core::Intrinsics;
-    use glam::{DMat4, EulerRot};
+    use glam::{DMat4, DVec2, EulerRot};
 
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
 
@@ -332,7 +411,7 @@ mod tests {
         let mut cube = painted(8);
         let mut weights = PlanarImage::zeros(SIZE);
         weights.data_mut().iter_mut().enumerate().for_each(|(i, w)| *w = (i as f32 * 0.37).sin());
-        let mut gradient = vec![[0.0; 3]; cube.texels.len()];
+        let mut gradient = TexelGradients::new(cube.texels.len());
         view.backward(&weights, &mut gradient);
         let mut image = PlanarImage::zeros(SIZE);
         let mut objective = |cube: &SkyCube| -> f64 {
@@ -344,9 +423,11 @@ mod tests {
             cube.texels[t][1] += 1.0;
             let difference = objective(&cube) - before;
             cube.texels[t][1] -= 1.0;
-            assert!((difference - f64::from(gradient[t][1])).abs() < 1e-4, "texel {t}");
-            assert!(gradient[t][1] == 0.0 || view.texels().binary_search(&(t as u32)).is_ok());
+            assert!((difference - f64::from(gradient.sums[t][1])).abs() < 1e-4, "texel {t}");
+            assert_eq!(gradient.touched[t], gradient.sums[t] != [0.0; 3], "texel {t}");
         }
+        gradient.clear();
+        assert_eq!(gradient, TexelGradients::new(cube.texels.len()));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
 use crate::view::TrainingView;
-use crate::{AdamVec, SkyCube, SkyView, Update};
+use crate::{AdamVec, SkyCube, SkyView, TexelGradients, Update};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 
@@ -18,28 +18,29 @@ pub fn train_sky(
     if config.sky_iterations == 0 {
         return;
     }
-    let cached: Vec<SkyTarget> =
-        views.iter().map(|v| SkyTarget::new(v, layer, sky, config.mask_dilation)).collect();
+    let Some(first) = views.first() else { return };
+    let mut tape = RenderTape::default();
+    let mut target = |view| SkyTarget::new(view, layer, config.mask_dilation, &mut tape);
+    let cached: Vec<SkyTarget> = views.iter().map(&mut target).collect();
+    let mut aimed = SkyView::new(&first.camera, sky.face_size());
     let mut adam = AdamVec::new(sky.texels.len(), 3);
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     let mut rendered = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
-    let mut gradient = vec![[0.0; 3]; sky.texels.len()];
+    let mut gradient = TexelGradients::new(sky.texels.len());
     for _ in 0..config.sky_iterations {
         let Some(index) = epochs.draw() else { return };
         let target = &cached[index];
-        rendered.reset(views[index].camera.size());
-        sky.render(&target.texels, &mut rendered);
+        aimed.aim(&views[index].camera);
+        sky.render(&aimed, &mut rendered);
         target.residual(&mut rendered);
-        gradient.fill([0.0; 3]);
-        target.texels.backward(&rendered, &mut gradient);
-        let seen: Vec<bool> = gradient.iter().map(|t| *t != [0.0; 3]).collect();
-        let texels = sky.texels.as_flattened_mut();
-        adam.step(texels, gradient.as_flattened(), config.sky_rate, Update::Touched(&seen));
+        gradient.clear();
+        aimed.backward(&rendered, &mut gradient);
+        let (texels, sums) = (sky.texels.as_flattened_mut(), gradient.sums.as_flattened());
+        adam.step(texels, sums, config.sky_rate, Update::Touched(&gradient.touched));
     }
 }
 
 struct SkyTarget {
-    texels: SkyView,
     /// Photograph minus the layer's own colour.
     remainder: PlanarImage,
     /// Transmittance; 0 where the foreground may be.
@@ -47,17 +48,15 @@ struct SkyTarget {
 }
 
 impl SkyTarget {
-    fn new(view: &TrainingView, layer: &Gaussians, sky: &SkyCube, dilation: usize) -> Self {
-        let mut tape = RenderTape::default();
+    fn new(view: &TrainingView, layer: &Gaussians, dilation: usize, tape: &mut RenderTape) -> Self {
         let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
-            .render(layer, &frame, &mut tape);
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
         let mut remainder = PlanarImage::from(&view.image);
         remainder.data_mut().iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
         let region = outside(view, dilation);
         let counted = tape.transmittance().iter().zip(region.data());
         let transmittance = counted.map(|(&t, &inside)| if inside == 0 { 0.0 } else { t }).collect();
-        Self { texels: SkyView::new(&view.camera, sky.face_size()), remainder, transmittance }
+        Self { remainder, transmittance }
     }
 
     /// Replaces a rendered sky by the derivative of half the squared error.

@@ -1,19 +1,21 @@
 //! `cargo xtask bench`: times everything on the CPU and compares it with what the machine can do at best.
 //!
-//! The floor of a case is its work at the machine's own rate, measured in the same pass by `machine/fma` (vector
-//! multiply-adds) or `machine/copy` (memory traffic): no program that does this work on so many threads is faster.
+//! `--scaling` measures instead how time and peak memory grow.
 
+mod floor;
 mod gpu;
 mod results;
 
 use crate::{ffgs, workspace};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use floor::{Counts, Rates};
 use results::{Case, Work};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::SystemTime;
 
 /// What to time.
@@ -32,10 +34,20 @@ pub struct Options {
     device: gpu::Device,
     #[command(flatten)]
     cases: gpu::Cases,
+    /// Time nothing: make the whole table from what filtered passes left.
+    #[arg(long, conflicts_with = "filter")]
+    collect: bool,
+    /// How time and peak memory grow with Gaussians, pixels, views and foreground; a word after it selects cases.
+    #[arg(long)]
+    scaling: bool,
 }
 
 /// Where the table of a whole pass is kept.
 const TABLE: &str = "docs/bench/cpu.csv";
+/// That of `--scaling`.
+const SCALING: &str = "docs/bench/scaling.csv";
+/// Counts of the rendered scenes, written by the benchmark beside criterion's own files.
+const COUNTS: &str = "counts.csv";
 
 /// Runs the benchmarks, prints the table and saves it after a whole pass.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
@@ -43,12 +55,18 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         let origin = format!("host: {}; commit {}", machine(), commit(root));
         return gpu::run(root, adapter, options.quick, &options.cases, &origin);
     }
-    let start = SystemTime::now();
-    measure(root, options)?;
-    let cases = results::read(&workspace::target(root).join("criterion"), start)?;
+    if options.scaling {
+        return scaling(root, options);
+    }
+    let start = if options.collect { SystemTime::UNIX_EPOCH } else { SystemTime::now() };
+    if !options.collect {
+        measure(root, options)?;
+    }
+    let folder = workspace::target(root).join("criterion");
+    let cases = results::read(&folder, start)?;
     ensure!(!cases.is_empty(), "no case matches");
-    let rates = Rates::of(&cases);
-    let mut rows: Vec<Row> = cases.iter().map(|case| Row::new(case, &rates)).collect();
+    let (rates, counts) = (Rates::of(&cases), floor::read_counts(&folder.join(COUNTS)));
+    let mut rows: Vec<Row> = cases.iter().map(|case| Row::new(case, &rates, &counts)).collect();
     rows.extend(frames(&options.run.clone().unwrap_or_else(|| ffgs::default_out(root, ffgs::SAMPLE))));
     println!("\n{}", table(&rows));
     if options.filter.is_none() {
@@ -75,34 +93,20 @@ fn measure(root: &Path, options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Measured rates on one thread and on two: multiply-adds and bytes a second.
-#[derive(Debug, Default)]
-struct Rates {
-    operations: [Option<f64>; 2],
-    bytes: [Option<f64>; 2],
-}
-
-impl Rates {
-    fn of(cases: &[Case]) -> Self {
-        let rate = |name: &str| cases.iter().find(|c| c.name == name).map(|c| c.work.amount() / c.seconds);
-        let both = |what: &str| [rate(&format!("machine/{what}/1t")), rate(&format!("machine/{what}/2t"))];
-        Self { operations: both("fma"), bytes: both("copy") }
+/// Runs the scaling cases, prints their table and saves it when it is whole.
+fn scaling(root: &Path, options: &Options) -> Result<()> {
+    let mut command = workspace::cargo(root);
+    command.args(["bench", "-p", "ffgs-trainer", "--bench", "scaling", "--"]).args(&options.filter);
+    let output = command.stderr(Stdio::inherit()).output().context("cannot start cargo")?;
+    ensure!(output.status.success(), "the benchmark failed");
+    let table = String::from_utf8(output.stdout).context("the table is not text")?;
+    print!("{table}");
+    if options.filter.is_none() {
+        let text = format!("# {}; commit {}\n{table}", machine(), commit(root));
+        std::fs::write(root.join(SCALING), text).with_context(|| format!("cannot write {SCALING}"))?;
+        println!("saved: {SCALING}");
     }
-}
-
-/// Vector operations that one element costs at least, counted in the source: the blend walk and its visitor for a
-/// contribution, both passes of the loss for a sample. Selects, loads and stores are not counted.
-fn operations(name: &str) -> f64 {
-    const FORWARD: f64 = 25.0;
-    const BACKWARD: f64 = 46.0;
-    const LOSS: f64 = 200.0;
-    match name {
-        n if n.starts_with("machine") => 1.0,
-        n if n.starts_with("loss") => LOSS,
-        n if n.starts_with("raster/forward") => FORWARD,
-        n if n.starts_with("raster/backward") => BACKWARD,
-        _ => FORWARD + BACKWARD,
-    }
+    Ok(())
 }
 
 /// One line of the table.
@@ -115,12 +119,8 @@ struct Row {
 }
 
 impl Row {
-    fn new(case: &Case, rates: &Rates) -> Self {
-        let threads = usize::from(!case.name.ends_with("/1t"));
-        let floor = match case.work {
-            Work::Elements(n) => rates.operations[threads].map(|rate| n * operations(&case.name) / rate),
-            Work::Bytes(n) => rates.bytes[threads].map(|rate| n / rate),
-        };
+    fn new(case: &Case, rates: &Rates, counts: &BTreeMap<String, Counts>) -> Self {
+        let floor = floor::seconds(case, rates, counts);
         Self { name: case.name.clone(), seconds: case.seconds, work: Some(case.work), floor }
     }
 
@@ -195,28 +195,6 @@ fn commit(root: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn case(name: &str, seconds: f64, work: Work) -> Case {
-        Case { name: name.to_owned(), seconds, work }
-    }
-
-    #[test]
-    fn the_floor_is_the_work_at_the_machines_rate_on_as_many_threads() {
-        let cases = [
-            case("machine/fma/1t", 1.0, Work::Elements(1e9)),
-            case("machine/fma/2t", 1.0, Work::Elements(2e9)),
-            case("machine/copy/2t", 1.0, Work::Bytes(1e8)),
-            case("raster/forward/a/1t", 0.5, Work::Elements(1e7)),
-            case("raster/step/a/2t", 1.0, Work::Elements(1e7)),
-            case("adam/dense", 3.0, Work::Bytes(1e8)),
-        ];
-        let rates = Rates::of(&cases);
-        let ratios: Vec<_> = cases.iter().map(|c| Row::new(c, &rates).ratio()).collect();
-        let expected = [Some(1.0), Some(1.0), Some(1.0), Some(2.0), Some(1.0 / 0.355), Some(3.0)];
-        for (found, expected) in ratios.iter().zip(expected) {
-            assert!((found.unwrap() - expected.unwrap()).abs() < 1e-9, "{ratios:?}");
-        }
-    }
 
     #[test]
     fn frames_come_from_the_metrics_of_a_run() {

@@ -8,6 +8,7 @@ use ffgs_rasterizer::{
     RenderOptions, RenderTape, View,
 };
 use ffgs_trainer::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
+use std::io::Write;
 
 /// Standard deviation over spacing, as trained scenes have it.
 const SPREAD: f32 = 0.45;
@@ -77,17 +78,30 @@ impl Step {
 }
 
 fn bench(c: &mut Criterion, name: &str, case: &mut Step, elements: u64) {
+    case.forward();
+    record(name, case, elements);
     for threads in [1, 2] {
         let pool = pool(threads);
         let id = |what: &str| BenchmarkId::new(what, format!("{name}/{threads}t"));
         let mut group = c.benchmark_group("raster");
         group.throughput(Throughput::Elements(elements));
-        case.forward();
         case.loss();
         group.bench_function(id("forward"), |b| b.iter(|| pool.install(|| case.forward())));
         group.bench_function(id("backward"), |b| b.iter(|| pool.install(|| case.backward())));
         group.bench_function(id("step"), |b| b.iter(|| pool.install(|| case.step())));
     }
+}
+
+/// Adds what the scene consists of to the file that `cargo xtask bench` computes floors from.
+fn record(name: &str, case: &Step, contributions: u64) {
+    let Ok(folder) = std::env::var("CRITERION_HOME") else { return };
+    let (g, tape, pixels) = (&case.gaussians, &case.tape, case.camera.size().pixels());
+    let (count, colours, visible) = (g.len(), 3 * g.sh_stride(), tape.visible());
+    let line = format!("{name},{count},{colours},{visible},{},{pixels},{contributions}\n", tape.tile_pairs());
+    std::fs::create_dir_all(&folder).expect("a folder for the counts");
+    let path = std::path::Path::new(&folder).join("counts.csv");
+    let file = std::fs::OpenOptions::new().create(true).append(true).open(path);
+    file.and_then(|mut f| f.write_all(line.as_bytes())).expect("the counts are written");
 }
 
 /// Three image sizes, three counts, SH degree 3.

@@ -8,7 +8,7 @@
 
 use super::trace::ViewTrace;
 use crate::SkyCube;
-use crate::background::{BackgroundConfig, outside, render_sky};
+use crate::background::{BackgroundConfig, SkyBehind, outside};
 use crate::view::{Progress, Running, TrainingView};
 use ffgs_core::{Gaussians, PlanarImage, sh_coefficients};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View, sh_basis};
@@ -23,8 +23,13 @@ pub(super) fn solve(
     layer: &mut Gaussians,
     report: &mut dyn FnMut(Progress),
 ) {
-    let residuals: Vec<Vec<Vec3>> =
-        views.iter().map(|v| residual(v, layer, sky, config.mask_dilation)).collect();
+    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
+    let mut residual = |view: &TrainingView| {
+        let background = behind.render(sky, &view.camera);
+        residual(view, layer, background, config.mask_dilation, &mut tape)
+    };
+    let residuals: Vec<Vec<Vec3>> = views.iter().map(&mut residual).collect();
+    drop((tape, behind));
     let system = System::new(config, traces, &residuals, layer);
     let mut running = Running::default();
     let counted = residuals.iter().flatten().filter(|r| **r != Vec3::ZERO).count().max(1) as f64 * 3.0;
@@ -39,12 +44,16 @@ pub(super) fn solve(
 }
 
 /// Photograph minus render per pixel; zero at and around the foreground.
-fn residual(view: &TrainingView, layer: &Gaussians, sky: &SkyCube, dilation: usize) -> Vec<Vec3> {
-    let background = render_sky(sky, view);
-    let mut tape = RenderTape::default();
-    let frame = View { camera: &view.camera, background: Background::Image(&background), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, &mut tape);
-    let (photo, region) = (PlanarImage::from(&view.image), outside(view, dilation));
+fn residual(
+    view: &TrainingView,
+    layer: &Gaussians,
+    behind: &PlanarImage,
+    dilation: usize,
+    tape: &mut RenderTape,
+) -> Vec<Vec3> {
+    let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
+    let (photo, region) = (&view.image, outside(view, dilation));
     let difference = |p: usize| Vec3::from(photo.pixel(p)) - Vec3::from(tape.image().pixel(p));
     let counted = |p: usize| if region.data()[p] == 0 { Vec3::ZERO } else { difference(p) };
     (0..photo.size().pixels()).map(counted).collect()
@@ -188,14 +197,12 @@ impl<'a> System<'a> {
         let zero = vec![Vec3::ZERO; self.answers.len()];
         let right = self.transpose(&zero, |v, pixel, _| self.residuals[v][pixel]);
         let diagonal = self.diagonal();
-        let precondition = |r: &[Vec3]| r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect::<Vec<_>>();
         let mut squares: f64 =
             self.residuals.iter().map(|v| v.iter().map(|r| f64::from(r.length_squared())).sum::<f64>()).sum();
         let mut x = vec![Vec3::ZERO; right.len()];
         let mut r = right;
-        let mut z = precondition(&r);
-        let mut direction = z.clone();
-        let mut rz = dot(&r, &z);
+        let mut direction: Vec<Vec3> = r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect();
+        let mut rz = dot(&r, &direction);
         for iteration in 1..=iterations {
             let applied = self.apply(&direction);
             let curvature = dot(&direction, &applied);
@@ -206,7 +213,9 @@ impl<'a> System<'a> {
             x.par_iter_mut().zip(&direction).for_each(|(x, &d)| *x += step * d);
             r.par_iter_mut().zip(&applied).for_each(|(r, &a)| *r -= step * a);
             squares -= rz * f64::from(step);
-            z = precondition(&r);
+            // The preconditioned residual is never stored; here it takes the place of the old product.
+            let mut z = applied;
+            z.par_iter_mut().zip(&r).zip(&diagonal).for_each(|((z, &r), &d)| *z = r / d);
             let next = dot(&r, &z);
             let beta = (next / rz) as f32;
             rz = next;
@@ -257,6 +266,10 @@ mod tests {
     use crate::from_points;
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
 
+    fn residual_of(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> Vec<Vec3> {
+        residual(view, layer, SkyBehind::new().render(sky, &view.camera), 0, &mut RenderTape::default())
+    }
+
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
 
     /// A wall of discs before three cameras, photographed in its own colours.
@@ -283,14 +296,14 @@ mod tests {
 
     fn photograph(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> ImageRgb8 {
         // Black photograph: the residual is minus the render.
-        let shown = residual(view, layer, sky, 0);
+        let shown = residual_of(view, layer, sky);
         let bytes = shown.iter().flat_map(|r| (*r * -255.0).to_array().map(|v| v.round() as u8)).collect();
         ImageRgb8::new(SIZE, bytes).unwrap()
     }
 
     fn squared_error(views: &[TrainingView], layer: &Gaussians, sky: &SkyCube) -> f32 {
         let of =
-            |v: &TrainingView| residual(v, layer, sky, 0).iter().map(|r| r.length_squared()).sum::<f32>();
+            |v: &TrainingView| residual_of(v, layer, sky).iter().map(|r| r.length_squared()).sum::<f32>();
         views.iter().map(of).sum()
     }
 

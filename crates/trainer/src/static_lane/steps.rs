@@ -1,6 +1,6 @@
 //! The static lane as the paper has it: steps of Adam on the SH coefficients, one view each.
 
-use crate::background::{BackgroundConfig, outside, render_sky};
+use crate::background::{BackgroundConfig, SkyBehind, outside};
 use crate::schedule::Epochs;
 use crate::view::{Progress, Running, TrainingView};
 use crate::{Adam, LossRegion, PhotometricLoss, SkyCube, Update};
@@ -25,13 +25,14 @@ pub(super) fn train(
     let (mut tape, mut loss, mut gradients) =
         (RenderTape::default(), PhotometricLoss::new(), Gradients::default());
     let mut pixel_gradient = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
-    let backgrounds: Vec<PlanarImage> = views.iter().map(|v| render_sky(sky, v)).collect();
+    let mut behind = SkyBehind::new();
     let mut adam = Adam::new(layer.len(), layer.sh_degree());
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     let mut running = Running::default();
     for iteration in 0..config.static_iterations {
         let Some(index) = epochs.draw() else { return };
-        let (view, background) = (&views[index], Background::Image(&backgrounds[index]));
+        let view = &views[index];
+        let background = Background::Image(behind.render(sky, &view.camera));
         let frame = View { camera: &view.camera, background, tiles: None };
         rasterizer.render(layer, &frame, &mut tape);
         let region = LossRegion::Mask(&regions[index]);

@@ -29,13 +29,13 @@ impl ViewTrace {
         let seen: Vec<u32> = (0..layer.len() as u32).filter(|&i| place[i as usize] == 0).collect();
         seen.iter().enumerate().for_each(|(at, &i)| place[i as usize] = at as u32);
         let mut starts = vec![0];
-        let mut contributions = Vec::new();
+        let kept = top.indices.iter().filter(|i| **i >= 0).count();
+        let mut contributions = Vec::with_capacity(kept);
         for (indices, weights) in top.indices.chunks(count.max(1)).zip(top.weights.chunks(count.max(1))) {
             let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0);
             contributions.extend(present.map(|(&i, &w)| (place[i as usize], w)));
             starts.push(contributions.len() as u32);
         }
-        contributions.shrink_to_fit();
         let basis = basis(camera, layer, &seen, degree);
         Self { camera: *camera, seen, basis, starts, contributions }
     }
