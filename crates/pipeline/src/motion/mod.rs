@@ -16,7 +16,7 @@ use crate::cli::Init;
 use crate::config::Config;
 use crate::frame::TrainViews;
 use anyhow::Result;
-use ffgs_core::{Estimates, Gaussians, Observations};
+use ffgs_core::{Camera, Estimates, Gaussians, Observations};
 use ffgs_gpu::Gpu;
 use ffgs_report::StageSeconds;
 use ffgs_tracks::TrackStore;
@@ -123,7 +123,8 @@ pub fn move_by(
 ) -> Result<Vec<Estimates>> {
     if input.config.association.withdraw_unseen {
         let expected = expected_places(input, observations, dynamic, outcome)?;
-        let withdrawn = withdraw::withdraw(input, &expected, observations);
+        let cameras: Vec<Camera> = input.now.iter().map(|view| view.camera).collect();
+        let withdrawn = withdraw::withdraw(&cameras, &expected, observations);
         outcome.skip("observations withdrawn: the place at t lies outside the image".into(), withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, outcome)?;
