@@ -268,7 +268,12 @@ impl FootprintSums {
     }
 
     /// Calls `visit(Gaussian, sums, hits)` for the first `wanted` Gaussians that reach a computed tile, ascending.
-    pub(crate) fn for_each(&self, wanted: usize, tape: &RenderTape, mut visit: impl FnMut(usize, &[f32], u32)) {
+    pub(crate) fn for_each(
+        &self,
+        wanted: usize,
+        tape: &RenderTape,
+        mut visit: impl FnMut(usize, &[f32], u32),
+    ) {
         let groups = groups_for(self.channels);
         let mut total = vec![0.0; groups * GROUP];
         // Splats are in the order of the Gaussians.
