@@ -342,7 +342,7 @@ struct Sum<'a, S: Simd> {
 }
 
 impl<S: Simd> Sum<'_, S> {
-    /// Adds the pixels `range` of the tile, each with its weight.
+    /// Adds the pixels `range` of the tile, each with its weight; 0 where one does not count.
     #[inline(always)]
     fn add(&mut self, simd: S, range: Range<usize>, weights: &[f32]) {
         for group in 0..self.groups {
@@ -359,8 +359,8 @@ impl<S: Simd> Sum<'_, S> {
             }
             total.copy_from_slice(&sums[..parts]);
         }
-        for pixel in range {
-            self.found += self.hits[pixel];
+        for (pixel, &weight) in range.zip(weights) {
+            self.found += if weight > 0.0 { self.hits[pixel] } else { 0 };
         }
     }
 }
@@ -382,19 +382,14 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
             return;
         }
         self.shows = true;
-        let (zero, first) = (simd.splat_f32s(0.0), c.vector * S::F32_LANES);
         let mut weights = ChannelGroup::default();
         S::as_mut_simd_f32s(&mut weights.0).0[0] = c.weight;
-        let empty = simd.less_than_or_equal_f32s(c.weight, zero);
-        // An ellipse's row is one run of pixels, unless some of it is finished or does not count.
-        let mut start = simd.first_true_m32s(c.counts);
-        while start < S::F32_LANES {
-            let beyond = simd.greater_than_f32s(self.columns, simd.splat_f32s(start as f32));
-            let end = simd.first_true_m32s(simd.and_m32s(empty, beyond)).min(S::F32_LANES);
-            self.add(simd, first + start..first + end, &weights.0[start..end]);
-            let beyond = simd.greater_than_f32s(self.columns, simd.splat_f32s(end as f32));
-            start = simd.first_true_m32s(simd.and_m32s(c.counts, beyond));
-        }
+        // An ellipse's row is one run of pixels. `first_true_m32s` does not say where: it counts bit masks from the top.
+        let (none, lanes) = (simd.splat_f32s(-1.0), simd.splat_f32s(S::F32_LANES as f32));
+        let first = simd.reduce_min_f32s(simd.select_f32s(c.counts, self.columns, lanes)) as usize;
+        let last = simd.reduce_max_f32s(simd.select_f32s(c.counts, self.columns, none)) as usize;
+        let vector = c.vector * S::F32_LANES;
+        self.add(simd, vector + first..vector + last + 1, &weights.0[first..=last]);
     }
 
     #[inline(always)]
