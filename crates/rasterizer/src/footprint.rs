@@ -105,14 +105,14 @@ impl CpuRasterizer {
         let groups = out.reset(channels.count(), tape);
         let RenderTape { lists, splats, grid, .. } = tape;
         // Splats are in the order of the Gaussians.
-        let first_other = splats.partition_point(|s| (s.index as usize) < wanted) as u32;
+        let first_other = splats.partition_point(|s| (s.index as usize) < wanted);
         let starts: Vec<u32> = lists.starts.iter().map(|&s| s * groups as u32).collect();
         for_each_tile_slice(&starts, &mut out.entries[..lists.len() * groups], &|tile, entries| {
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len() / groups];
             entries.fill(ChannelGroup::default());
             // What lies behind the last one changes no sum.
-            let Some(last) = slots.iter().rposition(|&s| s < first_other) else { return };
+            let Some(last) = slots.iter().rposition(|entry| entry.slot() < first_other) else { return };
             let pixels = TileChannels::gather(size, *grid, tile, channels);
             let origin = tile_origin(tile, *grid);
             let slots = &slots[..=last];
