@@ -381,13 +381,17 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
         if !self.counts {
             return;
         }
-        self.shows = true;
         let mut weights = ChannelGroup::default();
         S::as_mut_simd_f32s(&mut weights.0).0[0] = c.weight;
         // An ellipse's row is one run of pixels. `first_true_m32s` does not say where: it counts bit masks from the top.
         let (none, lanes) = (simd.splat_f32s(-1.0), simd.splat_f32s(S::F32_LANES as f32));
         let first = simd.reduce_min_f32s(simd.select_f32s(c.counts, self.columns, lanes)) as usize;
         let last = simd.reduce_max_f32s(simd.select_f32s(c.counts, self.columns, none)) as usize;
+        if first > last {
+            // Every pixel is finished by this splat.
+            return;
+        }
+        self.shows = true;
         let vector = c.vector * S::F32_LANES;
         self.add(simd, vector + first..vector + last + 1, &weights.0[first..=last]);
     }
