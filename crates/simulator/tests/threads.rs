@@ -9,7 +9,7 @@ use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ViewCounts, count_
 use ffgs_rasterizer::{Association, AssociationScratch, Observed};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Scale, Scene};
 
@@ -19,7 +19,7 @@ const SMALL: Scale =
 /// Everything that one frame's initialisation computes.
 #[derive(Debug, PartialEq)]
 struct Outcome {
-    observations: Vec<Observations>,
+    observations: Vec<(Vec<DVec2>, Vec<f64>)>,
     estimates: Vec<(Vec<DVec3>, Vec<DMat3>)>,
     means: Vec<DVec3>,
     covariances: Vec<DMat3>,
@@ -64,6 +64,7 @@ fn initialise(scene: &Scene) -> Outcome {
     let masks: Vec<Mask> = scene.views.iter().map(|v| v.mask_now.clone()).collect();
     let counts = count_views(&fused.means, &scene.cameras, &masks).expect("one size");
     let estimates = estimates.into_iter().map(|e| (e.means, e.covariances)).collect();
+    let observations = observations.into_iter().map(|o| (o.targets, o.weights)).collect();
     Outcome { observations, estimates, means: fused.means, covariances: fused.covariances, counts }
 }
 
