@@ -13,8 +13,8 @@ use rayon::prelude::*;
 
 /// Opacity below which a Gaussian is dead; the centre of the noise's switch as well.
 const DEAD: f32 = 0.005;
-/// Growth of a round.
-const GROWTH: f32 = 1.05;
+/// A round adds one in so many: 5 %.
+const GROWTH: usize = 20;
 /// Most Gaussians that one is divided into in a round.
 const MOST_SHARES: usize = 51;
 /// Opacities are kept below 1 where their logit is taken.
@@ -37,7 +37,7 @@ pub(crate) fn relocate(gaussians: &mut Gaussians, cap: usize, seed: u64) -> Inde
     if living.is_empty() {
         return IndexMap::identity(n);
     }
-    let target = ((n as f32 * GROWTH) as usize).min(cap).max(living.len());
+    let target = (n + n / GROWTH).min(cap).max(living.len());
     let mut shares = vec![0_usize; n];
     living.iter().for_each(|&i| shares[i] = 1);
     draw(&living, opacity, target - living.len(), seed).for_each(|i| shares[i] += 1);
