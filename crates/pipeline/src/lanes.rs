@@ -1,13 +1,13 @@
 //! Training and rendering on the device of a run: each function has a CPU and a GPU twin.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::GpuRasterizer;
 use ffgs_trainer::{
     BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Progress, SkyCube, SkyView,
-    StaticLane, StaticMethod, Strategy, Surroundings, TrainingView,
+    StaticLane, StaticMethod, Surroundings, TrainingView,
 };
 
 /// Where lanes run: dealt over GPUs, dynamic, static, sky; none = the CPU. Everything else is done by the first.
@@ -62,9 +62,6 @@ impl<'a> Lanes<'a> {
         seed: u64,
         report: Report,
     ) -> Result<FirstFrame> {
-        if config.strategy == Strategy::Mcmc && self.gpu(0).is_some() {
-            bail!("first_frame.strategy = \"mcmc\" runs on the CPU only: pass --device cpu");
-        }
         let FirstFrame { gaussians, sky } = start;
         Ok(match self.gpu(0) {
             None => ffgs_trainer::train_first_frame(config, views, gaussians, sky, extent, seed, report),

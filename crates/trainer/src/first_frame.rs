@@ -1,7 +1,6 @@
 //! Frame 0: static, dynamic and sky together, from points, trackside and initialisation views.
 
 use crate::densify::{DensityConfig, DensityControl, ViewStatistics, reset_opacities};
-use crate::mcmc;
 use crate::schedule::{Epochs, decay};
 use crate::view::{Progress, Running, TrainingView};
 use crate::{
@@ -13,17 +12,6 @@ use ffgs_rasterizer::{
     RenderOptions, RenderTape, View,
 };
 use serde::{Deserialize, Serialize};
-
-/// How the number and the places of Gaussians are controlled in frame 0.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Strategy {
-    /// Growth by gradient, removal by opacity (Kerbl et al. 2023).
-    #[default]
-    Densify,
-    /// Relocation, growth in proportion to opacity, noise (Kheradmand et al. 2024); CPU only.
-    Mcmc,
-}
 
 /// How frame 0 is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,8 +29,6 @@ pub struct FirstFrameConfig {
     pub scale_rate: f32,
     /// Rate of opacity logits.
     pub opacity_rate: f32,
-    /// How Gaussians are added and removed.
-    pub strategy: Strategy,
     /// Steps between two rounds of growth and removal; 0 = none.
     pub densify_every: usize,
     /// Growth begins and ends at these shares of the steps.
@@ -66,7 +52,6 @@ impl Default for FirstFrameConfig {
             position_rate_end: 2e-6,
             scale_rate: 1.5e-2,
             opacity_rate: 3e-2,
-            strategy: Strategy::default(),
             densify_every: 200,
             densify_span: [0.1, 0.6],
             grow_gradient: 2e-4,
@@ -129,7 +114,6 @@ struct Training<'a> {
     adam: Adam,
     sky_adam: AdamVec,
     density: DensityControl,
-    seed: u64,
     running: Running,
     tape: RenderTape,
     loss: PhotometricLoss,
@@ -159,7 +143,6 @@ impl<'a> Training<'a> {
             adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
             sky_adam: AdamVec::new(sky.texels.len(), 3),
             density: DensityControl::new(density, gaussians.len(), seed),
-            seed,
             texel_gradients: TexelGradients::new(sky.texels.len()),
             radii: Vec::new(),
             gaussians,
@@ -203,15 +186,7 @@ impl<'a> Training<'a> {
             ..LearningRates::with_means(rate)
         };
         let touched = &self.gradients.touched;
-        let mcmc = c.strategy == Strategy::Mcmc;
-        if mcmc {
-            mcmc::regularise(&self.gaussians, touched, self.extent, &mut self.gradients.gaussians);
-        }
         self.adam.step(&mut self.gaussians, &self.gradients.gaussians, &rates, Update::Touched(touched));
-        if mcmc {
-            let seed = mcmc::mix(self.seed ^ mcmc::mix(iteration as u64));
-            mcmc::wander(&mut self.gaussians, rate / self.extent, self.extent, seed);
-        }
         self.update_sky();
         self.observe();
     }
@@ -231,9 +206,6 @@ impl<'a> Training<'a> {
     }
 
     fn observe(&mut self) {
-        if self.config.strategy == Strategy::Mcmc {
-            return;
-        }
         self.radii.resize(self.gaussians.len(), 0.0);
         self.density.observe(&ViewStatistics {
             gradient_norms: &self.gradients.mean2d_norm,
@@ -252,15 +224,8 @@ impl<'a> Training<'a> {
         }
         let due = c.densify_every > 0 && done.is_multiple_of(c.densify_every);
         if due && share >= c.densify_span[0] && share <= c.densify_span[1] {
-            let map = match c.strategy {
-                Strategy::Densify => {
-                    let plan = self.density.plan(&self.gaussians, self.extent);
-                    self.density.apply(&plan, &mut self.gaussians)
-                }
-                Strategy::Mcmc => {
-                    mcmc::relocate(&mut self.gaussians, c.max_gaussians, mcmc::mix(self.seed ^ done as u64))
-                }
-            };
+            let plan = self.density.plan(&self.gaussians, self.extent);
+            let map = self.density.apply(&plan, &mut self.gaussians);
             self.adam.remap(&map);
         }
     }
