@@ -163,12 +163,7 @@ impl Voter {
     }
 
     fn distance(&self, motion: &RigidMotion) -> f64 {
-        self.distance_of(motion.apply(self.centre))
-    }
-
-    /// Squared Mahalanobis distance of a place of its centre (m).
-    fn distance_of(&self, place: DVec3) -> f64 {
-        let e = place - self.place;
+        let e = motion.apply(self.centre) - self.place;
         e.dot(self.information * e)
     }
 }
@@ -261,14 +256,12 @@ impl<'a> Search<'a> {
         let noise = shared_noise(&cells.leaves, &voters, &proposals);
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
         let proposals: Vec<RigidMotion> = proposals.into_iter().map(|p| p.1).collect();
-        let gains = |motion: &RigidMotion| {
-            let map = motion.map();
-            let gain = |v: &Voter| {
-                v.weight * (1.0 - v.distance_of(map(v.centre)) / (EXPLAINED * config.leave)).max(0.0)
-            };
-            voters.iter().map(|voter| voter.as_ref().map_or(0.0, gain)).collect()
+        let gain = |voter: &Option<Voter>, motion: &RigidMotion| {
+            let share =
+                |v: &Voter| v.weight * (1.0 - v.distance(motion) / (EXPLAINED * config.leave)).max(0.0);
+            voter.as_ref().map_or(0.0, share)
         };
-        let gains = proposals.par_iter().map(gains).collect();
+        let gains = proposals.par_iter().map(|m| voters.iter().map(|v| gain(v, m)).collect()).collect();
         Self {
             previous,
             evidence,

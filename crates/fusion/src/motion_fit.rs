@@ -91,9 +91,8 @@ pub fn fit_motion(
     for _ in 0..STEPS {
         scales = noise_scales(evidence, previous, members, &motion);
         normal = Normal::zero();
-        let rotation = DMat3::from_quat(motion.rotation);
         for &i in members {
-            let arm = rotation * (previous[i] - motion.centre);
+            let arm = motion.rotation * (previous[i] - motion.centre);
             let predicted = arm + motion.centre + motion.step;
             let terms =
                 scales.iter().enumerate().filter_map(|(l, s)| weighted(evidence, l, i, predicted, *s));
@@ -128,11 +127,10 @@ pub fn noise_scales(
     members: &[usize],
     motion: &RigidMotion,
 ) -> Vec<f64> {
-    let map = motion.map();
     let scale = |l: usize| {
         let distance = |&i: &usize| {
             let (mean, information) = evidence.of(l, i)?;
-            let r = mean - map(previous[i]);
+            let r = mean - motion.apply(previous[i]);
             Some(r.dot(information * r))
         };
         let mut distances: Vec<f64> = members.iter().filter_map(distance).collect();

@@ -1,4 +1,4 @@
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use nalgebra::{Matrix4, SymmetricEigen};
 
 /// A rigid motion about a centre: `x -> rotation (x - centre) + centre + step`.
@@ -16,13 +16,6 @@ impl RigidMotion {
     /// Where a point of t-1 is at t (m).
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.rotation * (point - self.centre) + self.centre + self.step
-    }
-
-    /// As [`RigidMotion::apply`], with the work that all points share done once.
-    pub fn map(&self) -> impl Fn(DVec3) -> DVec3 + use<> {
-        let (rotation, centre, target) =
-            (DMat3::from_quat(self.rotation), self.centre, self.centre + self.step);
-        move |point| rotation * (point - centre) + target
     }
 }
 
@@ -72,8 +65,6 @@ mod tests {
         let to: Vec<DVec3> = from.iter().map(|&p| rotation * p + DVec3::new(5.0, -1.0, 2.0)).collect();
         let motion = fit_rigid(&from, &to, &[1.0; 9]).unwrap();
         assert!(from.iter().zip(&to).all(|(&a, &b)| (motion.apply(a) - b).length() < 1e-12));
-        let map = motion.map();
-        assert!(from.iter().all(|&a| (motion.apply(a) - map(a)).length() < 1e-12));
         assert!(fit_rigid(&from, &to, &[0.0; 9]).is_none());
     }
 }

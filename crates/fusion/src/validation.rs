@@ -28,27 +28,18 @@ pub fn count_views(
     if cameras.len() != masks.len() || views.iter().any(|(c, m)| c.size() != m.size()) {
         return Err(FusionError::Masks { cameras: cameras.len(), masks: masks.len() });
     }
-    let mut counts = vec![ViewCounts::default(); means.len()];
-    // View by view: the part of a mask that the Gaussians fall on stays in cache, all masks together do not.
-    counts.par_chunks_mut(CHUNK).zip(means.par_chunks(CHUNK)).for_each(|(counts, means)| {
-        for (camera, mask) in &views {
-            counts.iter_mut().zip(means).for_each(|(counts, &mean)| counts.add(camera.pixel_of(mean), mask));
-        }
-    });
-    Ok(counts)
+    Ok(means.par_iter().map(|&mean| count(mean, &views)).collect())
 }
 
-/// Gaussians that a task counts.
-const CHUNK: usize = 1 << 13;
-
-impl ViewCounts {
-    /// Adds a view that shows the point at `pixel`, if it does.
-    fn add(&mut self, pixel: Option<(usize, usize)>, mask: &Mask) {
-        if let Some((column, row)) = pixel {
-            self.seen += 1;
-            self.inside += u32::from(mask.contains(column, row));
+fn count(mean: DVec3, views: &[(&Camera, &Mask)]) -> ViewCounts {
+    let mut counts = ViewCounts::default();
+    for (camera, mask) in views {
+        if let Some((column, row)) = camera.pixel_of(mean) {
+            counts.seen += 1;
+            counts.inside += u32::from(mask.contains(column, row));
         }
     }
+    counts
 }
 
 /// Whether a Gaussian lies in the masks of at least `seen - slack` views, and of one at least (Algorithm 1, lines 35

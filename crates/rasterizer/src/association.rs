@@ -41,29 +41,55 @@ pub struct AssociationScratch {
     sums: FootprintSums,
 }
 
-/// The blending weight itself, then [`OF_TRACKER`] for every tracker.
-struct Channels<'a>(Association<'a>);
+/// Where a tracker's sums are.
+struct Place {
+    /// Channel of its coverage: channel 0, the blending weight itself, when it knows the motion of every pixel.
+    coverage: usize,
+    /// First of flow x, flow y, weight.
+    first: usize,
+}
 
-/// A tracker's channels: whether it knows the motion, flow x, flow y, weight.
-const OF_TRACKER: usize = 4;
+/// The first channel is the blending weight itself.
+struct Channels<'a> {
+    association: Association<'a>,
+    places: Vec<Place>,
+    count: usize,
+}
+
+impl<'a> Channels<'a> {
+    fn new(association: Association<'a>) -> Self {
+        let mut count = 1;
+        let place = |field: &DenseMotion| {
+            let masked = association.mask.data().iter().zip(&field.confidence);
+            let knows_all = masked.into_iter().all(|(&inside, &confidence)| inside == 0 || confidence > 0.0);
+            let coverage = if knows_all { 0 } else { count };
+            let first = count + usize::from(!knows_all);
+            count = first + 3;
+            Place { coverage, first }
+        };
+        let places = association.fields.iter().map(place).collect();
+        Self { association, places, count }
+    }
+}
 
 impl PixelChannels for Channels<'_> {
     fn count(&self) -> usize {
-        1 + OF_TRACKER * self.0.fields.len()
+        self.count
     }
 
     fn at(&self, pixel: usize, values: &mut [f32]) -> bool {
-        if self.0.mask.data()[pixel] == 0 {
+        if self.association.mask.data()[pixel] == 0 {
             return false;
         }
-        values[0] = 1.0;
-        for (values, field) in values[1..].chunks_exact_mut(OF_TRACKER).zip(self.0.fields) {
+        for (place, field) in self.places.iter().zip(self.association.fields) {
             let (confidence, [x, y]) = (field.confidence[pixel], field.flow[pixel]);
             // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
             let known = f32::from(confidence > 0.0);
-            let weight = confidence * (x * x + y * y).sqrt().max(self.0.flow_floor_px);
-            values.copy_from_slice(&[known, known * x, known * y, weight]);
+            let weight = confidence * (x * x + y * y).sqrt().max(self.association.flow_floor_px);
+            values[place.coverage] = known;
+            values[place.first..place.first + 3].copy_from_slice(&[known * x, known * y, weight]);
         }
+        values[0] = 1.0;
         true
     }
 }
@@ -84,21 +110,21 @@ impl Association<'_> {
         let view =
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
         let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
-        let (rasterizer, channels) = (CpuRasterizer::new(options), Channels(*self));
-        rasterizer.sum_footprints(gaussians, means.len(), &view, &channels, tape, sums);
-        sums.for_each(means.len(), tape, |i, values, hits| {
+        let channels = Channels::new(*self);
+        CpuRasterizer::new(options).accumulate_first(gaussians, means.len(), &view, &channels, tape, sums);
+        for (i, values, hits) in sums.touched(tape) {
             if values[0] <= self.min_coverage || hits < self.min_hits {
-                return;
+                continue;
             }
-            let Some(projection) = self.camera.project(means[i]) else { return };
-            for (out, values) in out.iter_mut().zip(values[1..].chunks_exact(OF_TRACKER)) {
-                let (coverage, weight) = (f64::from(values[0]), f64::from(values[3]));
+            let Some(projection) = self.camera.project(means[i]) else { continue };
+            for (out, place) in out.iter_mut().zip(&channels.places) {
+                let coverage = f64::from(values[place.coverage]);
+                let [x, y, weight] = [0, 1, 2].map(|c| f64::from(values[place.first + c]));
                 if coverage > f64::from(self.min_coverage) && weight > 0.0 {
-                    let flow = DVec2::new(f64::from(values[1]), f64::from(values[2]));
-                    out.targets[i] = projection.pixel + flow / coverage;
+                    out.targets[i] = projection.pixel + DVec2::new(x, y) / coverage;
                     out.weights[i] = weight;
                 }
             }
-        });
+        }
     }
 }

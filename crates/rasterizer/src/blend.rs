@@ -86,7 +86,7 @@ fn all_finished<S: Simd>(simd: S, state: &[S::f32s]) -> bool {
 }
 
 /// Columns 0, 1, 2, … as floats.
-pub(crate) const COLUMNS: [f32; TILE] =
+const COLUMNS: [f32; TILE] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
 /// Rows and columns of a tile that a splat's ellipse can touch, as local pixel ranges a row.

@@ -1,7 +1,7 @@
 //! Sums over the pixels that a Gaussian covers, and split renders of a layer around a depth.
 
 use crate::backward::for_each_tile_slice;
-use crate::blend::{AREA, COLUMNS, Contribution, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::contract::View;
 use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
 use crate::projection::Splat;
@@ -11,15 +11,6 @@ use crate::tiles::TileGrid;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use std::ops::Range;
-
-/// Channels that are summed together: one AVX-512 register, two of AVX2.
-const GROUP: usize = 16;
-
-/// Values of consecutive channels of one pixel, or sums of one (tile, splat) entry.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
-struct ChannelGroup([f32; GROUP]);
 
 /// Sums per Gaussian of `alpha T` times per-pixel channels: association (Algorithm 1, lines 15 to 19, with every
 /// contributor), and the transpose of blending.
@@ -28,7 +19,7 @@ pub struct FootprintSums {
     channels: usize,
     sums: Vec<f32>,
     hits: Vec<u32>,
-    entries: Vec<ChannelGroup>,
+    entries: Vec<f32>,
 }
 
 impl FootprintSums {
@@ -74,24 +65,11 @@ impl CpuRasterizer {
         tape: &mut RenderTape,
         out: &mut FootprintSums,
     ) {
-        let n = gaussians.len();
-        self.sum_footprints(gaussians, n, view, &channels, tape, out);
-        let FootprintSums { sums, hits, .. } = out;
-        let (mut sums, mut hits) = (std::mem::take(sums), std::mem::take(hits));
-        sums.clear();
-        sums.resize(n * channels.len(), 0.0);
-        hits.clear();
-        hits.resize(n, 0);
-        out.for_each(n, tape, |i, values, count| {
-            sums[i * channels.len()..(i + 1) * channels.len()].copy_from_slice(values);
-            hits[i] = count;
-        });
-        (out.sums, out.hits) = (sums, hits);
+        self.accumulate_first(gaussians, gaussians.len(), view, &channels, tape, out);
     }
 
-    /// As [`CpuRasterizer::accumulate`] for the first `wanted` Gaussians; the others only hide what is behind them. The
-    /// sums are left for [`FootprintSums::for_each`].
-    pub(crate) fn sum_footprints(
+    /// As [`CpuRasterizer::accumulate`] for the first `wanted` Gaussians; the others only hide what is behind them.
+    pub fn accumulate_first(
         &self,
         gaussians: &Gaussians,
         wanted: usize,
@@ -101,23 +79,22 @@ impl CpuRasterizer {
         out: &mut FootprintSums,
     ) {
         self.prepare(gaussians, view, tape);
-        let (arch, size) = (Arch::new(), view.camera.size());
-        let groups = out.reset(channels.count(), tape);
+        let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
         let RenderTape { lists, splats, grid, .. } = tape;
-        // Splats are in the order of the Gaussians.
-        let first_other = splats.partition_point(|s| (s.index as usize) < wanted);
-        let starts: Vec<u32> = lists.starts.iter().map(|&s| s * groups as u32).collect();
-        for_each_tile_slice(&starts, &mut out.entries[..lists.len() * groups], &|tile, entries| {
+        out.entries.clear();
+        out.entries.resize(lists.len() * width, 0.0);
+        let starts: Vec<u32> = lists.starts.iter().map(|&s| s * width as u32).collect();
+        for_each_tile_slice(&starts, &mut out.entries, &|tile, entries| {
+            if entries.is_empty() {
+                return;
+            }
             let start = lists.starts[tile] as usize;
-            let slots = &lists.slots[start..start + entries.len() / groups];
-            entries.fill(ChannelGroup::default());
-            // What lies behind the last one changes no sum.
-            let Some(last) = slots.iter().rposition(|entry| entry.slot() < first_other) else { return };
-            let pixels = TileChannels::gather(size, *grid, tile, channels);
+            let slots = &lists.slots[start..start + entries.len() / width];
+            let (planes, open) = gather_channels(size, *grid, tile, channels);
             let origin = tile_origin(tile, *grid);
-            let slots = &slots[..=last];
-            arch.dispatch(SumTile { origin, splats, slots, wanted, pixels, entries });
+            arch.dispatch(SumTile { origin, splats, slots, wanted, planes: &planes, open, entries });
         });
+        out.collect(wanted, channels.count(), tape);
     }
 
     /// Renders `gaussians` in two parts: what lies nearer than `depths` at each tile, and the rest over the view's
@@ -217,76 +194,52 @@ impl SplitLayers {
     }
 }
 
-/// The channels of a tile's pixels. Those of one pixel lie side by side: a contribution is one product with all of them,
-/// and nothing is summed across lanes. Most splats are smaller than a vector of pixels.
-struct TileChannels {
-    /// Groups of one pixel.
-    groups: usize,
-    /// (pixels, groups) values, 0 beyond the last channel.
-    values: Vec<ChannelGroup>,
-    /// Where the first channel is not zero.
-    hits: [u32; AREA],
-    /// Transmittance to begin with: 0 in pixels that do not count.
-    open: TilePlane,
-}
-
-impl TileChannels {
-    fn gather(size: ImageSize, grid: TileGrid, tile: usize, channels: &impl PixelChannels) -> Self {
-        let groups = groups_for(channels.count());
-        let values = vec![ChannelGroup::default(); AREA * groups];
-        let mut out = Self { groups, values, hits: [0; AREA], open: TilePlane::ZERO };
-        let mut pixel_values = vec![0.0; channels.count()];
-        for_each_pixel(size, grid, tile, |pixel, local| {
-            if channels.at(pixel, &mut pixel_values) {
-                out.open.0[local] = 1.0;
-                out.hits[local] = u32::from(pixel_values[0] != 0.0);
-                let groups = &mut out.values[local * groups..(local + 1) * groups];
-                for (group, values) in groups.iter_mut().zip(pixel_values.chunks(GROUP)) {
-                    group.0[..values.len()].copy_from_slice(values);
-                }
-            }
-        });
-        out
-    }
-}
-
-/// Groups that hold so many channels and the hits.
-fn groups_for(channels: usize) -> usize {
-    (channels + 1).div_ceil(GROUP)
+/// A plane a channel, and 1 in the pixels that count.
+fn gather_channels(
+    size: ImageSize,
+    grid: TileGrid,
+    tile: usize,
+    channels: &impl PixelChannels,
+) -> (Vec<TilePlane>, TilePlane) {
+    let mut planes = vec![TilePlane::ZERO; channels.count()];
+    let mut open = TilePlane::ZERO;
+    let mut values = vec![0.0; channels.count()];
+    for_each_pixel(size, grid, tile, |pixel, local| {
+        if channels.at(pixel, &mut values) {
+            open.0[local] = 1.0;
+            planes.iter_mut().zip(&values).for_each(|(plane, &value)| plane.0[local] = value);
+        }
+    });
+    (planes, open)
 }
 
 impl FootprintSums {
-    /// Makes room for the entries of `tape`; groups of an entry.
-    fn reset(&mut self, channels: usize, tape: &RenderTape) -> usize {
-        self.channels = channels;
-        let groups = groups_for(channels);
-        let needed = tape.lists.len() * groups;
-        if self.entries.len() < needed {
-            self.entries.resize(needed, ChannelGroup::default());
-        }
-        groups
+    /// Gaussians that reach a computed tile, ascending, with their sums and hits.
+    pub(crate) fn touched<'a>(
+        &'a self,
+        tape: &'a RenderTape,
+    ) -> impl Iterator<Item = (usize, &'a [f32], u32)> {
+        let wanted = self.hits.len();
+        let indices = tape.visible_indices().take_while(move |&i| i < wanted);
+        indices.map(|i| (i, self.of(i), self.hits(i)))
     }
 
-    /// Calls `visit(Gaussian, sums, hits)` for the first `wanted` Gaussians that reach a computed tile, ascending.
-    pub(crate) fn for_each(
-        &self,
-        wanted: usize,
-        tape: &RenderTape,
-        mut visit: impl FnMut(usize, &[f32], u32),
-    ) {
-        let groups = groups_for(self.channels);
-        let mut total = vec![0.0; groups * GROUP];
+    fn collect(&mut self, n: usize, channels: usize, tape: &RenderTape) {
+        let width = channels + 1;
+        self.channels = channels;
+        self.sums.clear();
+        self.sums.resize(n * channels, 0.0);
+        self.hits.clear();
+        self.hits.resize(n, 0);
         // Splats are in the order of the Gaussians.
-        let splats = tape.splats.iter().take_while(|s| (s.index as usize) < wanted);
-        for (splat, range) in splats.zip(tape.lists.entry_starts.windows(2)) {
-            total.fill(0.0);
-            for &entry in &tape.lists.entries[range[0] as usize..range[1] as usize] {
-                let sums = &self.entries[entry as usize * groups..(entry as usize + 1) * groups];
-                for (total, sums) in total.chunks_exact_mut(GROUP).zip(sums) {
-                    total.iter_mut().zip(&sums.0).for_each(|(t, s)| *t += s);
-                }
+        for (slot, splat) in tape.splats.iter().enumerate().take_while(|(_, s)| (s.index as usize) < n) {
+            let i = splat.index as usize;
+            let range = tape.lists.entry_starts[slot] as usize..tape.lists.entry_starts[slot + 1] as usize;
+            for &entry in &tape.lists.entries[range] {
+                let values = &self.entries[entry as usize * width..(entry as usize + 1) * width];
+                self.sums[i * channels..(i + 1) * channels].iter_mut().zip(values).for_each(|(s, v)| *s += v);
+                self.hits[i] += values[channels] as u32;
             }
-            visit(splat.index as usize, &total[..self.channels], total[groups * GROUP - 1] as u32);
         }
     }
 }
@@ -297,8 +250,10 @@ struct SumTile<'a> {
     slots: &'a [Entry],
     /// Gaussians from this index on are not summed.
     wanted: usize,
-    pixels: TileChannels,
-    entries: &'a mut [ChannelGroup],
+    planes: &'a [TilePlane],
+    /// Transmittance to begin with: 0 in pixels that do not count.
+    open: TilePlane,
+    entries: &'a mut [f32],
 }
 
 impl WithSimd for SumTile<'_> {
@@ -306,72 +261,31 @@ impl WithSimd for SumTile<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { origin, splats, slots, wanted, pixels, entries } = self;
-        let TileChannels { groups, values, hits, mut open } = pixels;
-        let mut visitor = Sum::<S> {
-            values: &values,
-            hits: &hits,
-            columns: S::as_simd_f32s(&COLUMNS).0[0],
-            wanted,
-            groups,
-            counts: true,
-            shows: false,
-            found: 0,
-            sums: vec![ChannelGroup::default(); groups],
-            entries,
-        };
+        let Self { origin, splats, slots, wanted, planes, mut open, entries } = self;
+        let planes: Vec<&[S::f32s]> = planes.iter().map(|p| S::as_simd_f32s(&p.0).0).collect();
+        let sums = vec![simd.splat_f32s(0.0); planes.len() + 1];
+        let mut visitor = Sum::<S> { planes, wanted, counts: true, shows: false, sums, entries };
         walk(simd, origin, splats, slots, &mut open, &mut visitor);
     }
 }
 
 struct Sum<'a, S: Simd> {
-    values: &'a [ChannelGroup],
-    hits: &'a [u32; AREA],
-    /// 0, 1, 2, …
-    columns: S::f32s,
+    planes: Vec<&'a [S::f32s]>,
     wanted: usize,
-    groups: usize,
     /// Whether the current splat is summed.
     counts: bool,
     /// Whether a pixel of it has counted; of hidden splats nothing needs to be written.
     shows: bool,
-    /// Its hits.
-    found: u32,
-    sums: Vec<ChannelGroup>,
-    entries: &'a mut [ChannelGroup],
-}
-
-impl<S: Simd> Sum<'_, S> {
-    /// Adds the pixels `range` of the tile, each with its weight; 0 where one does not count.
-    #[inline(always)]
-    fn add(&mut self, simd: S, range: Range<usize>, weights: &[f32]) {
-        for group in 0..self.groups {
-            let total = S::as_mut_simd_f32s(&mut self.sums[group].0).0;
-            let mut sums = [simd.splat_f32s(0.0); GROUP];
-            let parts = GROUP / S::F32_LANES;
-            sums[..parts].copy_from_slice(total);
-            for (pixel, &weight) in range.clone().zip(weights) {
-                let weight = simd.splat_f32s(weight);
-                let values = S::as_simd_f32s(&self.values[pixel * self.groups + group].0).0;
-                for part in 0..parts {
-                    sums[part] = simd.mul_add_e_f32s(weight, values[part], sums[part]);
-                }
-            }
-            total.copy_from_slice(&sums[..parts]);
-        }
-        for (pixel, &weight) in range.zip(weights) {
-            self.found += if weight > 0.0 { self.hits[pixel] } else { 0 };
-        }
-    }
+    sums: Vec<S::f32s>,
+    entries: &'a mut [f32],
 }
 
 impl<S: Simd> Visitor<S> for Sum<'_, S> {
     #[inline(always)]
-    fn begin(&mut self, _: S, splat: &Splat) {
+    fn begin(&mut self, simd: S, splat: &Splat) {
         self.counts = (splat.index as usize) < self.wanted;
         if self.shows {
-            self.sums.fill(ChannelGroup::default());
-            self.found = 0;
+            self.sums.fill(simd.splat_f32s(0.0));
             self.shows = false;
         }
     }
@@ -381,29 +295,26 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
         if !self.counts {
             return;
         }
-        let mut weights = ChannelGroup::default();
-        S::as_mut_simd_f32s(&mut weights.0).0[0] = c.weight;
-        // An ellipse's row is one run of pixels. `first_true_m32s` does not say where: it counts bit masks from the top.
-        let (none, lanes) = (simd.splat_f32s(-1.0), simd.splat_f32s(S::F32_LANES as f32));
-        let first = simd.reduce_min_f32s(simd.select_f32s(c.counts, self.columns, lanes)) as usize;
-        let last = simd.reduce_max_f32s(simd.select_f32s(c.counts, self.columns, none)) as usize;
-        if first > last {
-            // Every pixel is finished by this splat.
-            return;
-        }
         self.shows = true;
-        let vector = c.vector * S::F32_LANES;
-        self.add(simd, vector + first..vector + last + 1, &weights.0[first..=last]);
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        for (sum, plane) in self.sums.iter_mut().zip(&self.planes) {
+            *sum = simd.mul_add_e_f32s(c.weight, plane[c.vector], *sum);
+        }
+        let absent = simd.equal_f32s(self.planes[0][c.vector], zero);
+        let hit = simd.select_f32s(c.counts, simd.select_f32s(absent, zero, one), zero);
+        let last = self.sums.len() - 1;
+        self.sums[last] = simd.add_f32s(self.sums[last], hit);
     }
 
     #[inline(always)]
-    fn end(&mut self, _: S, entry: usize) {
+    fn end(&mut self, simd: S, entry: usize) {
         if !self.shows {
             return;
         }
-        let out = &mut self.entries[entry * self.groups..(entry + 1) * self.groups];
-        out.copy_from_slice(&self.sums);
-        let hits = self.groups * GROUP - 1;
-        out[hits / GROUP].0[hits % GROUP] = self.found as f32;
+        let width = self.sums.len();
+        let out = &mut self.entries[entry * width..(entry + 1) * width];
+        for (o, &s) in out.iter_mut().zip(&self.sums) {
+            *o = simd.reduce_sum_f32s(s);
+        }
     }
 }

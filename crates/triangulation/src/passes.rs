@@ -50,17 +50,6 @@ impl<S: Simd> Lanes<'_, S> {
         z.select_above(self.number(0.0), error, self.number(f64::INFINITY))
     }
 
-    /// `depth2 (1 + share r^2)` without a division by the depth; infinite behind the camera, where the weight is then 0.
-    #[inline(always)]
-    fn softened(self, depth2: Real<S>, [x, y, z]: [Real<S>; 3], share: f64) -> Real<S> {
-        // Residuals times depth (px m).
-        let dx = self.get(&self.block.target[0]) * z - self.get(&self.block.focal[0]) * x;
-        let dy = self.get(&self.block.target[1]) * z - self.get(&self.block.focal[1]) * y;
-        // Of a point beside the camera, where `depth2` is its squared distance, the error is still by far the larger.
-        let error = dx.times_plus(dx, dy * dy) * self.number(share);
-        z.select_above(self.number(0.0), depth2 + error, self.number(f64::INFINITY))
-    }
-
     /// Square of the depth that turns metres into pixels. A point behind the camera or beside it takes its distance: the
     /// first guess may be that bad and still be mended by the other views.
     #[inline(always)]
@@ -128,44 +117,6 @@ impl<S: Simd> NormalSums<S> {
     }
 }
 
-/// Derives the places of the origin and the rays of all views from what was gathered.
-pub struct AimPass<'a> {
-    pub blocks: &'a mut [Block],
-}
-
-impl WithSimd for AimPass<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
-        for block in self.blocks {
-            for part in 0..LANES / S::F64_LANES {
-                let lanes = Lanes { simd, block, part };
-                let [x, y, z] = [
-                    lanes.get3(&block.rotation[0..3]),
-                    lanes.get3(&block.rotation[3..6]),
-                    lanes.get3(&block.rotation[6..9]),
-                ];
-                let center = lanes.get3(&block.center);
-                let slope_x = lanes.get(&block.target[0]) / lanes.get(&block.focal[0]);
-                let slope_y = lanes.get(&block.target[1]) / lanes.get(&block.focal[1]);
-                let origin = [zero - dot(x, center), zero - dot(y, center), zero - dot(z, center)];
-                let ray = [
-                    x[0].times_plus(slope_x, y[0].times_plus(slope_y, z[0])),
-                    x[1].times_plus(slope_x, y[1].times_plus(slope_y, z[1])),
-                    x[2].times_plus(slope_x, y[2].times_plus(slope_y, z[2])),
-                ];
-                let per_length = one / dot(ray, ray).sqrt();
-                for axis in 0..3 {
-                    origin[axis].store(&mut block.origin_in_camera[axis], part);
-                    (ray[axis] * per_length).store(&mut block.ray[axis], part);
-                }
-            }
-        }
-    }
-}
-
 /// See [`crate::views::Views::rays`].
 pub struct RayPass<'a> {
     pub blocks: &'a [Block],
@@ -178,7 +129,7 @@ impl WithSimd for RayPass<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Normal {
-        let zero = Real::all(simd, 0.0);
+        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
         let point = point_in_all(simd, self.point);
         let mut sums = NormalSums::zero(simd);
         for_each_vector!(simd, self.blocks, |lanes| {
@@ -192,7 +143,9 @@ impl WithSimd for RayPass<'_> {
                 let offset = [point[0] - center[0], point[1] - center[1], point[2] - center[2]];
                 let mut below = lanes.squared_depth(in_camera[2], offset);
                 if let RayWeights::Soft(scale) = self.weights {
-                    below = lanes.softened(below, in_camera, 1.0 / (scale * scale));
+                    // Behind the camera this is infinite and the weight 0.
+                    let share = lanes.squared_error(in_camera) * lanes.number(1.0 / (scale * scale));
+                    below = below * (one + share);
                 }
                 observed * lanes.get(&block.focal[0]) * lanes.get(&block.focal[1]) / below
             };

@@ -48,12 +48,6 @@ impl<S: Simd> Real<S> {
         Self { lanes: self.simd.max_f64s(self.lanes, other.lanes), ..self }
     }
 
-    /// Square root.
-    #[inline(always)]
-    pub fn sqrt(self) -> Self {
-        Self { lanes: self.simd.sqrt_f64s(self.lanes), ..self }
-    }
-
     /// Sum over the lanes.
     #[inline(always)]
     pub fn total(self) -> f64 {

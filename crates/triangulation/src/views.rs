@@ -1,9 +1,9 @@
 //! The views of one Gaussian, in blocks of a fixed number of lanes, and what is summed over them.
 
 use crate::normal::Normal;
-use crate::passes::{AimPass, ErrorPass, RayPass, RayResidualPass, ReprojectionPass, TruncatedPass};
+use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass, TruncatedPass};
 use ffgs_core::{Camera, Observations};
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use pulp::Arch;
 
 /// Views a block: one AVX-512 register of f64, two of AVX2.
@@ -34,29 +34,22 @@ pub struct Block {
 }
 
 impl Block {
-    /// No views: numbers that no pass divides by zero with, of a camera a metre behind the origin.
+    /// No views: numbers that no pass divides by zero with.
     const EMPTY: Self = Self {
-        rotation: IDENTITY,
-        origin_in_camera: [[0.0; LANES], [0.0; LANES], [1.0; LANES]],
-        center: [[0.0; LANES], [0.0; LANES], [-1.0; LANES]],
-        ray: [[0.0; LANES], [0.0; LANES], [1.0; LANES]],
+        rotation: [[0.0; LANES]; 9],
+        origin_in_camera: [[1.0; LANES]; 3],
+        center: [[1.0; LANES]; 3],
+        ray: [[1.0; LANES]; 3],
         focal: [[1.0; LANES]; 2],
         target: [[0.0; LANES]; 2],
         weight: [0.0; LANES],
     };
 }
 
-/// A rotation that changes nothing, in every lane.
-const IDENTITY: [Column; 9] = {
-    let (zero, one) = ([0.0; LANES], [1.0; LANES]);
-    [one, zero, zero, zero, one, zero, zero, zero, one]
-};
-
 /// What of a camera every Gaussian needs.
 #[derive(Clone, Copy, Debug)]
 pub struct Lens {
-    /// Of `camera_from_world`, row by row.
-    rotation: [f64; 9],
+    rotation: DMat3,
     center: DVec3,
     focal: DVec2,
     principal: DVec2,
@@ -66,8 +59,7 @@ impl From<&Camera> for Lens {
     fn from(camera: &Camera) -> Self {
         let k = camera.intrinsics();
         Self {
-            // Columns of the transpose are rows.
-            rotation: camera.rotation().transpose().to_cols_array(),
+            rotation: camera.rotation(),
             center: camera.center(),
             focal: DVec2::new(k.fx, k.fy),
             principal: DVec2::new(k.cx, k.cy),
@@ -124,7 +116,6 @@ impl Views {
         }
         self.scale = farthest.sqrt();
         self.errors.resize(self.blocks.len(), [0.0; LANES]);
-        self.arch.dispatch(AimPass { blocks: &mut self.blocks });
         let per_weight = self.places.len() as f64 / sum;
         for &(block, lane) in &self.places {
             self.blocks[block].weight[lane] *= per_weight;
@@ -140,10 +131,16 @@ impl Views {
         self.places.push((block, k));
         let out = &mut self.blocks[block];
         let center = lens.center - previous;
+        let origin = lens.rotation * -center;
         let target = target - lens.principal;
-        (out.rotation.iter_mut().zip(lens.rotation)).for_each(|(column, value)| column[k] = value);
+        let ray = (lens.rotation.transpose() * (target / lens.focal).extend(1.0)).normalize();
+        // Columns of the transpose are rows.
+        let rows = lens.rotation.transpose().to_cols_array();
+        (out.rotation.iter_mut().zip(rows)).for_each(|(column, value)| column[k] = value);
         for axis in 0..3 {
             out.center[axis][k] = center[axis];
+            out.origin_in_camera[axis][k] = origin[axis];
+            out.ray[axis][k] = ray[axis];
         }
         for axis in 0..2 {
             out.focal[axis][k] = lens.focal[axis];
