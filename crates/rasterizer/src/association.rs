@@ -94,6 +94,18 @@ impl PixelChannels for Channels<'_> {
     }
 }
 
+impl Observed<'_> {
+    /// Notes what the tracker says of Gaussian `i`, seen at `pixel`: `sums` under its footprint of `alpha T` where the
+    /// tracker knows the motion, times flow x and y (px), and times the weight.
+    pub fn take(&mut self, i: usize, pixel: DVec2, sums: [f32; 4], min_coverage: f32) {
+        let [coverage, x, y, weight] = sums.map(f64::from);
+        if coverage > f64::from(min_coverage) && weight > 0.0 {
+            self.targets[i] = pixel + DVec2::new(x, y) / coverage;
+            self.weights[i] = weight;
+        }
+    }
+}
+
 impl Association<'_> {
     /// Renders `gaussians`, the first N of which move and lie at `means` (m), and gives each tracker's mean flow and
     /// weight under each of their footprints: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with
@@ -118,12 +130,8 @@ impl Association<'_> {
             }
             let Some(projection) = self.camera.project(means[i]) else { continue };
             for (out, place) in out.iter_mut().zip(&channels.places) {
-                let coverage = f64::from(values[place.coverage]);
-                let [x, y, weight] = [0, 1, 2].map(|c| f64::from(values[place.first + c]));
-                if coverage > f64::from(self.min_coverage) && weight > 0.0 {
-                    out.targets[i] = projection.pixel + DVec2::new(x, y) / coverage;
-                    out.weights[i] = weight;
-                }
+                let [x, y, weight] = [0, 1, 2].map(|c| values[place.first + c]);
+                out.take(i, projection.pixel, [values[place.coverage], x, y, weight], self.min_coverage);
             }
         }
     }

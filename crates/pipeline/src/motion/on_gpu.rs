@@ -10,7 +10,6 @@ use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::ViewFields;
 use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes};
-use glam::DVec2;
 use std::time::Instant;
 
 /// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
@@ -75,23 +74,13 @@ impl OnDevice<'_> {
                 continue;
             }
             if let Some(projection) = view.camera.project(mean) {
-                place(i, projection.pixel, &values[1..], config.min_coverage, rows);
+                for (row, sums) in rows.iter_mut().zip(values[1..].as_chunks::<4>().0) {
+                    row.take(i, projection.pixel, *sums, config.min_coverage);
+                }
             }
         }
         self.gpu.release_unused();
         Ok(())
-    }
-}
-
-/// Writes what the trackers say of Gaussian `i`, seen at `pixel`: `values` are sums of known, flow x, flow y and weight a
-/// tracker.
-fn place(i: usize, pixel: DVec2, values: &[f32], min_coverage: f32, rows: &mut [Observed]) {
-    for (row, values) in rows.iter_mut().zip(values.chunks_exact(4)) {
-        let [known, x, y, weight] = [0, 1, 2, 3].map(|c| f64::from(values[c]));
-        if known > f64::from(min_coverage) && weight > 0.0 {
-            row.targets[i] = pixel + DVec2::new(x, y) / known;
-            row.weights[i] = weight;
-        }
     }
 }
 
