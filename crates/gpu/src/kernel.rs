@@ -1,3 +1,11 @@
+/// Text of a file below `shaders/`, taken at build time: a missing file does not build, and an old one cannot be shipped.
+#[macro_export]
+macro_rules! wgsl {
+    ($path:expr) => {
+        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shaders/", $path, ".wgsl"))
+    };
+}
+
 /// A compute shader: one entry point, its bindings numbered from 0 in group 0 in the order in which
 /// [`crate::Commands::run`] takes the buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,13 +1,6 @@
 //! The compute shaders of `shaders/rasterizer`, each with the shared pieces it needs.
 
-use ffgs_gpu::Kernel;
-
-/// Text of a shader file, taken at build time: a missing file does not build, and an old one cannot be shipped.
-macro_rules! wgsl {
-    ($path:expr) => {
-        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shaders/", $path, ".wgsl"))
-    };
-}
+use ffgs_gpu::{Kernel, wgsl};
 
 macro_rules! kernel {
     ($name:ident, $file:literal, [$($piece:expr),*]) => {
