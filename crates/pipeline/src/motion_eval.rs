@@ -147,18 +147,23 @@ pub fn motion_eval(args: &MotionEvalArgs) -> Result<()> {
         );
     }
     println!("{}", stages(&frames));
-    if let Some(run) = &args.run {
-        add_to_report(run, &all)?;
-    }
     if let Some(file) = &args.json {
         write_json(file, &Report { frames, all_frames: entries(&all), flow })?;
+    }
+    if let Some(run) = &args.run {
+        add_to_report(run, eval.capture.root(), &all)?;
     }
     Ok(())
 }
 
-/// Leaves the figures of the bodies beside the run and writes its report again.
-fn add_to_report(run: &Path, all: &Cells) -> Result<()> {
-    let run = FinishedRun::open(run)?;
+/// Leaves the figures of the bodies beside the run and writes its report again, if it is a run on this capture.
+fn add_to_report(run: &Path, capture: &Path, all: &Cells) -> Result<()> {
+    let same =
+        |run: &FinishedRun| Some(run.capture.root().canonicalize().ok()? == capture.canonicalize().ok()?);
+    let Some(run) = FinishedRun::open(run).ok().filter(|run| same(run) == Some(true)) else {
+        tracing::warn!("{} is not a run on this capture: its report stays as it is", run.display());
+        return Ok(());
+    };
     let accuracy: Vec<MotionAccuracy> =
         all.iter().filter_map(|(name, parts)| Some(accuracy(name, parts.get("bodies")?))).collect();
     write_json(&run.folder.motion_accuracy(), &accuracy)?;

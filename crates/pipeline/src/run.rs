@@ -305,8 +305,18 @@ impl<'a> Job<'a> {
         record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
         state::save(&self.folder.state(frame), frame, &layers)?;
+        forget_motion_accuracy(&self.folder)?;
         Ok((layers, record))
     }
+}
+
+/// What `ffgs motion-eval` found does not hold for a run with one more frame.
+fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
+    let file = folder.motion_accuracy();
+    if file.exists() {
+        std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+    }
+    Ok(())
 }
 
 fn require_tracker(init: &Init, tracks: Option<&TrackStore>) -> Result<()> {
