@@ -190,6 +190,7 @@ fn accuracy(name: &str, cell: &Cell) -> MotionAccuracy {
 fn ablations(args: &MotionEvalArgs) -> Result<()> {
     let mut rows = Vec::new();
     let mut eval = if args.simulate { None } else { Some(Evaluation::open(args)?) };
+    let bar = progress(args.log.quiet, "changes", ABLATIONS.len());
     for (name, change) in ABLATIONS {
         let mut config = configuration(args)?;
         change(&mut config);
@@ -205,7 +206,9 @@ fn ablations(args: &MotionEvalArgs) -> Result<()> {
         };
         let summary = summarise(&cell.samples);
         rows.push(Row { name: name.into(), candidates: cell.candidates, summary });
+        bar.inc(1);
     }
+    bar.finish_and_clear();
     print!("{}", table(&rows));
     Ok(())
 }
