@@ -12,7 +12,7 @@ const MIN_TRANSMITTANCE: f32 = 1e-4;
 /// Pixels a tile.
 pub(crate) const AREA: usize = TILE * TILE;
 
-/// Splats loaded ahead; after each batch, a tile whose pixels are all finished is done.
+/// Splats loaded ahead.
 const BATCH: usize = 16;
 
 /// One value per pixel of a tile, row by row, aligned for the widest vectors.
@@ -76,23 +76,42 @@ fn any<S: Simd>(simd: S, mask: S::m32s) -> bool {
     simd.first_true_m32s(mask) < S::F32_LANES
 }
 
-#[inline(always)]
-fn all_finished<S: Simd>(simd: S, state: &[S::f32s]) -> bool {
-    let mut highest = simd.splat_f32s(0.0);
-    for &t in state {
-        highest = simd.max_f32s(highest, t);
+/// Rows of a tile with a pixel that is not finished, a bit a row.
+#[derive(Clone, Copy)]
+struct OpenRows(u32);
+
+impl OpenRows {
+    #[inline(always)]
+    fn new<S: Simd>(simd: S, state: &[S::f32s]) -> Self {
+        let mut rows = Self((1 << TILE) - 1);
+        for row in 0..TILE {
+            rows.close_finished(simd, state, row);
+        }
+        rows
     }
-    !any(simd, simd.greater_than_f32s(highest, simd.splat_f32s(0.0)))
+
+    /// Closes `row` if all of its pixels are finished.
+    #[inline(always)]
+    fn close_finished<S: Simd>(&mut self, simd: S, state: &[S::f32s], row: usize) {
+        let vectors = TILE / S::F32_LANES;
+        let mut highest = simd.splat_f32s(0.0);
+        for &t in &state[row * vectors..(row + 1) * vectors] {
+            highest = simd.max_f32s(highest, t);
+        }
+        if !any(simd, simd.greater_than_f32s(highest, simd.splat_f32s(0.0))) {
+            self.0 &= !(1 << row);
+        }
+    }
 }
 
 /// Columns 0, 1, 2, … as floats.
 const COLUMNS: [f32; TILE] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
-/// Rows and columns of a tile that a splat's ellipse can touch, as local pixel ranges a row.
+/// Rows and columns of a tile that a splat's ellipse can touch.
 struct RowRange {
-    first: usize,
-    end: usize,
+    /// A bit a row.
+    rows: u32,
     slope: f32,
     reach_over_a: f32,
     shrink: f32,
@@ -102,11 +121,11 @@ impl RowRange {
     #[inline(always)]
     fn new(splat: &Splat, y: f32) -> Self {
         let [a, b, _] = splat.conic;
-        let first = (-splat.half_height - y).ceil().max(0.0);
-        let end = ((splat.half_height - y).floor() + 1.0).min(TILE as f32);
+        let limit = |row: f32| row.max(0.0).min(TILE as f32) as u32;
+        let first = limit((-splat.half_height - y).ceil());
+        let end = limit((splat.half_height - y).floor() + 1.0);
         Self {
-            first: first as usize,
-            end: end.max(0.0) as usize,
+            rows: (1 << end) - (1 << first.min(end)),
             slope: -b / a,
             reach_over_a: splat.squared_reach() / a,
             shrink: splat.shrink,
@@ -136,11 +155,13 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     let vectors = TILE / lanes;
     let (columns, _) = S::as_simd_f32s(&COLUMNS);
     let (state, _) = S::as_mut_simd_f32s(&mut transmittance.0);
-    let zero = simd.splat_f32s(0.0);
+    let (zero, least_open) = (simd.splat_f32s(0.0), simd.splat_f32s(MIN_TRANSMITTANCE));
+    let mut open_rows = OpenRows::new(simd, state);
     let mut batch = [Splat::default(); BATCH];
     for entry in 0..slots.len() {
         if entry % BATCH == 0 {
-            if entry > 0 && all_finished(simd, state) {
+            open_rows = OpenRows::new(simd, state);
+            if open_rows.0 == 0 {
                 break;
             }
             // Splats lie anywhere in memory: loads that follow each other overlap.
@@ -152,12 +173,20 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
         let x = origin[0] as f32 + 0.5 - splat.mean[0];
         let y = origin[1] as f32 + 0.5 - splat.mean[1];
         let rows = RowRange::new(splat, y);
+        let mut left_rows = rows.rows & open_rows.0;
+        if left_rows == 0 {
+            continue;
+        }
         let half_a = 0.5 * splat.conic[0];
         let (half_a_, opacity) = (simd.splat_f32s(half_a), simd.splat_f32s(splat.opacity));
         visitor.begin(simd, splat);
-        for row in rows.first..rows.end {
+        while left_rows != 0 {
+            let row = left_rows.trailing_zeros() as usize;
+            left_rows &= left_rows - 1;
             let dy = y + row as f32;
-            let (low, high) = rows.columns(dy);
+            // A vector that is a whole row is cheaper to try than to rule out.
+            let (low, high) =
+                if vectors == 1 { (f32::NEG_INFINITY, f32::INFINITY) } else { rows.columns(dy) };
             // The square completed, sigma = a (dx - slope dy)^2 / 2 + the least of this row: nothing cancels on needles.
             let least = simd.splat_f32s(half_a * splat.shrink * dy * dy);
             let (shift, dy_) = (simd.splat_f32s(rows.slope * dy), simd.splat_f32s(dy));
@@ -179,12 +208,12 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                     simd.less_than_f32s(sigma, simd.splat_f32s(5.6)),
                 );
                 let shows = simd.and_m32s(shows, simd.greater_than_f32s(t, zero));
-                if !any(simd, shows) {
+                if vectors > 1 && !any(simd, shows) {
                     continue;
                 }
                 let weight = simd.mul_f32s(alpha, t);
                 let next = simd.sub_f32s(t, weight);
-                let open = simd.greater_than_f32s(next, simd.splat_f32s(MIN_TRANSMITTANCE));
+                let open = simd.greater_than_f32s(next, least_open);
                 let counts = simd.and_m32s(shows, open);
                 let closed = simd.select_f32s(shows, simd.neg_f32s(t), t);
                 state[vector] = simd.select_f32s(counts, next, closed);
