@@ -11,6 +11,7 @@ mod gaussians;
 mod image;
 mod mask;
 mod motion;
+mod spatial_order;
 
 pub use atomic_file::write_atomically;
 pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
@@ -19,3 +20,4 @@ pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
 pub use mask::Mask;
 pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};
+pub use spatial_order::spatial_order;

@@ -12,7 +12,7 @@ use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
 use crate::scoring::{Layers, mean_mpsnr, score, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Gaussians, ImageRgb8, ImageSize};
+use ffgs_core::{Gaussians, ImageRgb8, ImageSize, spatial_order};
 use ffgs_dataset::{Capture, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
@@ -158,6 +158,7 @@ impl<'a> Job<'a> {
         let points = self.capture.initial_points()?;
         let degree = self.config().first_frame.sh_degree;
         let initial = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
+        let initial = initial.select(&spatial_order(&initial.means));
         let sky = SkyCube::filled(self.config().sky_face_size, mean_colour(views));
         let bar = console.lane("first frame", self.config().first_frame.iterations);
         let extent = camera_extent(views);
@@ -177,7 +178,9 @@ impl<'a> Job<'a> {
         let (cameras, masks) = cameras_and_masks(training);
         let marking = self.config().marking;
         let moving = dynamic_split(&positions(all), &cameras, &masks, marking.dilation, marking.slack)?;
-        let indices = |keep: bool| (0..all.len()).filter(|&i| moving[i] == keep).collect::<Vec<_>>();
+        // Training left what it added at the end; all later frames keep this order.
+        let order = spatial_order(&all.means);
+        let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
         let gaussians = all.select(&indices(true));
         if gaussians.is_empty() {
             tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");

@@ -1,6 +1,6 @@
 //! Two cars as a capture sees them: masks, tracks, flow, Gaussians. Synthetic, the same bytes every time.
 
-use ffgs_core::{Camera, DenseMotion, Gaussians, ImageSize, Intrinsics, Mask, TrackSet};
+use ffgs_core::{Camera, DenseMotion, Gaussians, ImageSize, Intrinsics, Mask, TrackSet, spatial_order};
 use ffgs_simulator::{Recipe, Scenario, simulate};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -81,7 +81,11 @@ impl Scale {
         };
         let simulated = simulate(&recipe);
         let cameras: Vec<Camera> = simulated.cameras.iter().take(views).map(|c| self.enlarged(c)).collect();
-        let (previous, truth) = (simulated.previous, simulated.truth);
+        // As a run keeps its layers.
+        let places: Vec<[f32; 3]> = simulated.previous.iter().map(|p| p.as_vec3().to_array()).collect();
+        let order = spatial_order(&places);
+        let [previous, truth] = [simulated.previous, simulated.truth]
+            .map(|column| order.iter().map(|&i| column[i]).collect::<Vec<_>>());
         let views = cameras.par_iter().map(|camera| self.see(camera, &previous, &truth)).collect();
         let joint = self.gaussians(&previous);
         Scene { cameras, views, previous, truth, joint }
@@ -159,7 +163,9 @@ impl Scale {
         for (count, spacing) in sizes {
             out.log_scales.extend(std::iter::repeat_n([(0.6 * spacing).ln() as f32; 3], count));
         }
-        out.means.extend(moving.iter().copied().chain(floor).map(|p| p.as_vec3().to_array()));
+        let floor: Vec<[f32; 3]> = floor.map(|p| p.as_vec3().to_array()).collect();
+        out.means.extend(moving.iter().map(|p| p.as_vec3().to_array()));
+        out.means.extend(spatial_order(&floor).into_iter().map(|i| floor[i]));
         out.quats.resize(out.means.len(), [1.0, 0.0, 0.0, 0.0]);
         out.opacity_logits.resize(out.means.len(), 1.0);
         out.sh.resize(out.means.len(), [0.0; 3]);
