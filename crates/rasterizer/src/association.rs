@@ -1,12 +1,15 @@
 //! Motion fields to displaced projections of Gaussians, with every contributor (Algorithm 1, lines 15 to 19).
 
+use crate::blend::TilePlane;
+use crate::chunks::ChunkBounds;
 use crate::contract::{Background, RenderOptions, View};
 use crate::cpu::CpuRasterizer;
-use crate::footprint::{FootprintSums, PixelChannels};
+use crate::footprint::{EntrySums, PixelChannels};
 use crate::tape::RenderTape;
 use crate::tiles::TileMask;
 use ffgs_core::{Camera, DenseMotion, Gaussians, Mask};
 use glam::{DVec2, DVec3};
+use std::ops::Range;
 
 /// What the trackers of one view say at t-1.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +41,22 @@ pub struct Observed<'a> {
 #[derive(Debug, Default)]
 pub struct AssociationScratch {
     tape: RenderTape,
-    sums: FootprintSums,
+    sums: EntrySums,
+}
+
+/// The Gaussians of t-1, for all views.
+#[derive(Debug)]
+pub struct AssociationScene<'a> {
+    gaussians: &'a Gaussians,
+    means: &'a [DVec3],
+    bounds: ChunkBounds,
+}
+
+impl<'a> AssociationScene<'a> {
+    /// The first N of `gaussians` move and lie at `means` (m); the others only hide what is behind them.
+    pub fn new(gaussians: &'a Gaussians, means: &'a [DVec3]) -> Self {
+        Self { gaussians, means, bounds: ChunkBounds::new(gaussians) }
+    }
 }
 
 /// Where a tracker's sums are.
@@ -77,20 +95,32 @@ impl PixelChannels for Channels<'_> {
         self.count
     }
 
-    fn at(&self, pixel: usize, values: &mut [f32]) -> bool {
-        if self.association.mask.data()[pixel] == 0 {
-            return false;
+    fn gather(&self, pixels: Range<usize>, local: usize, planes: &mut [TilePlane], open: &mut TilePlane) {
+        let Association { mask, fields, flow_floor_px, .. } = self.association;
+        let mask = &mask.data()[pixels.clone()];
+        if mask.iter().all(|&inside| inside == 0) {
+            return;
         }
-        for (place, field) in self.places.iter().zip(self.association.fields) {
-            let (confidence, [x, y]) = (field.confidence[pixel], field.flow[pixel]);
-            // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
-            let known = f32::from(confidence > 0.0);
-            let weight = confidence * (x * x + y * y).sqrt().max(self.association.flow_floor_px);
-            values[place.coverage] = known;
-            values[place.first..place.first + 3].copy_from_slice(&[known * x, known * y, weight]);
+        for (k, &inside) in mask.iter().enumerate() {
+            open.0[local + k] = f32::from(inside != 0);
+            planes[0].0[local + k] = open.0[local + k];
         }
-        values[0] = 1.0;
-        true
+        for (place, field) in self.places.iter().zip(fields) {
+            let (flow, confidence) = (&field.flow[pixels.clone()], &field.confidence[pixels.clone()]);
+            for k in 0..mask.len() {
+                // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
+                let known = if mask[k] != 0 && confidence[k] > 0.0 { 1.0 } else { 0.0 };
+                let [x, y] = flow[k].map(|v| known * v);
+                let at = local + k;
+                planes[place.first].0[at] = x;
+                planes[place.first + 1].0[at] = y;
+                planes[place.first + 2].0[at] =
+                    known * confidence[k] * (x * x + y * y).sqrt().max(flow_floor_px);
+                if place.coverage != 0 {
+                    planes[place.coverage].0[at] = known;
+                }
+            }
+        }
     }
 }
 
@@ -107,32 +137,27 @@ impl Observed<'_> {
 }
 
 impl Association<'_> {
-    /// Renders `gaussians`, the first N of which move and lie at `means` (m), and gives each tracker's mean flow and
-    /// weight under each of their footprints: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with
-    /// `a = alpha T`, over the mask. Colours are not looked at.
-    pub fn observe(
-        &self,
-        gaussians: &Gaussians,
-        means: &[DVec3],
-        out: &mut [Observed],
-        scratch: &mut AssociationScratch,
-    ) {
+    /// Renders `scene` and gives each tracker's mean flow and weight under the footprint of each of its N moving
+    /// Gaussians: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with `a = alpha T`, over the
+    /// mask. Colours are not looked at.
+    pub fn observe(&self, scene: &AssociationScene, out: &mut [Observed], scratch: &mut AssociationScratch) {
         let AssociationScratch { tape, sums } = scratch;
+        let AssociationScene { gaussians, means, bounds } = scene;
         let tiles = TileMask::covering(self.mask);
         let view =
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-        let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) });
         let channels = Channels::new(*self);
-        CpuRasterizer::new(options).accumulate_first(gaussians, means.len(), &view, &channels, tape, sums);
-        for (i, values, hits) in sums.touched(tape) {
+        rasterizer.sum_entries(gaussians, Some(bounds), means.len(), &view, &channels, tape, sums);
+        sums.for_each(tape, means.len(), |i, values, hits| {
             if values[0] <= self.min_coverage || hits < self.min_hits {
-                continue;
+                return;
             }
-            let Some(projection) = self.camera.project(means[i]) else { continue };
+            let Some(projection) = self.camera.project(means[i]) else { return };
             for (out, place) in out.iter_mut().zip(&channels.places) {
                 let [x, y, weight] = [0, 1, 2].map(|c| values[place.first + c]);
                 out.take(i, projection.pixel, [values[place.coverage], x, y, weight], self.min_coverage);
             }
-        }
+        });
     }
 }

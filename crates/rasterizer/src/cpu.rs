@@ -2,6 +2,7 @@
 
 use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::block::{BLOCK, Block, Projected};
+use crate::chunks::ChunkBounds;
 use crate::compose::compose;
 use crate::contract::{Rasterizer, RenderOptions, View};
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
@@ -13,7 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Gaussians projected as one unit of parallel work.
-const CHUNK: usize = 1024;
+pub(crate) const CHUNK: usize = 1024;
 /// Chunks a thread that are projected before they are appended: enough to share out evenly, few enough to stay in cache.
 const CHUNKS_AHEAD: usize = 8;
 
@@ -31,14 +32,30 @@ impl CpuRasterizer {
 
     /// Projects, sorts and deals to tiles: everything before blending.
     pub(crate) fn prepare(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
-        let size = view.camera.size();
-        tape.grid = TileGrid::new(size);
-        self.project(gaussians, view, tape);
+        self.prepare_within(gaussians, None, view, tape);
+    }
+
+    /// As [`CpuRasterizer::prepare`], without the chunks of Gaussians that `bounds` rule out.
+    pub(crate) fn prepare_within(
+        &self,
+        gaussians: &Gaussians,
+        bounds: Option<&ChunkBounds>,
+        view: &View,
+        tape: &mut RenderTape,
+    ) {
+        tape.grid = TileGrid::new(view.camera.size());
+        self.project(gaussians, bounds, view, tape);
         tape.lists.finish(&tape.splats, &tape.spans, tape.grid, view.tiles);
         tape.pixels.resize_with(tape.grid.count(), TilePixels::default);
     }
 
-    fn project(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
+    fn project(
+        &self,
+        gaussians: &Gaussians,
+        bounds: Option<&ChunkBounds>,
+        view: &View,
+        tape: &mut RenderTape,
+    ) {
         let size = view.camera.size();
         let shared = Projection {
             gaussians,
@@ -54,17 +71,20 @@ impl CpuRasterizer {
         spans.clear();
         lists.begin(*grid);
         let mut append = Append { splats, spans, lists, grid: *grid, mask: view.tiles };
-        let (chunks, group) = (gaussians.len().div_ceil(CHUNK), CHUNKS_AHEAD * rayon::current_num_threads());
-        let buffers = group.min(chunks).max(next.len());
+        let chunks: Vec<usize> = match bounds {
+            Some(bounds) => bounds.in_sight(&shared.camera, shared.size, *grid, view.tiles).collect(),
+            None => (0..gaussians.len().div_ceil(CHUNK)).collect(),
+        };
+        let group = CHUNKS_AHEAD * rayon::current_num_threads();
+        let buffers = group.min(chunks.len()).max(next.len());
         ready.resize_with(buffers, ChunkSplats::default);
         next.resize_with(buffers, ChunkSplats::default);
         let mut waiting = 0;
-        for first in (0..chunks).step_by(group) {
-            let count = group.min(chunks - first);
-            let (done, free) = (&ready[..waiting], &mut next[..count]);
-            rayon::join(|| append.all(done), || project_chunks(&shared, first, free));
+        for numbers in chunks.chunks(group) {
+            let (done, free) = (&ready[..waiting], &mut next[..numbers.len()]);
+            rayon::join(|| append.all(done), || project_chunks(&shared, numbers, free));
             std::mem::swap(ready, next);
-            waiting = count;
+            waiting = numbers.len();
         }
         append.all(&ready[..waiting]);
     }
@@ -145,11 +165,11 @@ pub(crate) fn tile_origin(tile: usize, grid: TileGrid) -> [usize; 2] {
     [tile % grid.columns * TILE, tile / grid.columns * TILE]
 }
 
-/// Projects consecutive chunks from number `first` on.
-fn project_chunks(shared: &Projection, first: usize, chunks: &mut [ChunkSplats]) {
+/// Projects the chunks with these numbers.
+fn project_chunks(shared: &Projection, numbers: &[usize], chunks: &mut [ChunkSplats]) {
     let arch = Arch::new();
-    chunks.par_iter_mut().enumerate().for_each(|(c, out)| {
-        arch.dispatch(ProjectChunk { shared, first: (first + c) * CHUNK, out });
+    chunks.par_iter_mut().zip(numbers).for_each(|(out, number)| {
+        arch.dispatch(ProjectChunk { shared, first: number * CHUNK, out });
     });
 }
 

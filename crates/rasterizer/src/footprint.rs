@@ -1,25 +1,25 @@
-//! Sums over the pixels that a Gaussian covers, and split renders of a layer around a depth.
+//! Sums over the pixels that a Gaussian covers.
 
 use crate::backward::for_each_tile_slice;
 use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::chunks::ChunkBounds;
 use crate::contract::View;
-use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
+use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::projection::Splat;
-use crate::tape::{RenderTape, TilePixels, for_each_pixel};
+use crate::tape::{RenderTape, for_each_row};
 use crate::tile_lists::Entry;
 use crate::tiles::TileGrid;
-use ffgs_core::{Gaussians, ImageSize, PlanarImage};
+use ffgs_core::{Gaussians, ImageSize};
 use pulp::{Arch, Simd, WithSimd};
-use rayon::prelude::*;
+use std::ops::Range;
 
-/// Sums per Gaussian of `alpha T` times per-pixel channels: association (Algorithm 1, lines 15 to 19, with every
-/// contributor), and the transpose of blending.
+/// Sums per Gaussian of `alpha T` times per-pixel channels: the transpose of blending.
 #[derive(Clone, Debug, Default)]
 pub struct FootprintSums {
     channels: usize,
     sums: Vec<f32>,
     hits: Vec<u32>,
-    entries: Vec<f32>,
+    by_entry: EntrySums,
 }
 
 impl FootprintSums {
@@ -35,13 +35,14 @@ impl FootprintSums {
 }
 
 /// What is summed under footprints.
-pub trait PixelChannels: Sync {
+pub(crate) trait PixelChannels: Sync {
     /// Number of channels.
     fn count(&self) -> usize;
 
-    /// Writes the channels of a pixel, counted row by row; `false` when the pixel does not count: then it adds to no
-    /// sum, and nothing is blended there.
-    fn at(&self, pixel: usize, values: &mut [f32]) -> bool;
+    /// Writes the channels of a run of `pixels`, counted row by row, into the planes (a channel each) from `local` on, and
+    /// 1 into `open` where a pixel counts. Where it does not it adds to no sum, and nothing is blended there: planes
+    /// and `open` stay 0.
+    fn gather(&self, pixels: Range<usize>, local: usize, planes: &mut [TilePlane], open: &mut TilePlane);
 }
 
 impl PixelChannels for &[&[f32]] {
@@ -49,9 +50,12 @@ impl PixelChannels for &[&[f32]] {
         self.len()
     }
 
-    fn at(&self, pixel: usize, values: &mut [f32]) -> bool {
-        values.iter_mut().zip(*self).for_each(|(value, channel)| *value = channel[pixel]);
-        true
+    fn gather(&self, pixels: Range<usize>, local: usize, planes: &mut [TilePlane], open: &mut TilePlane) {
+        let count = pixels.len();
+        for (plane, channel) in planes.iter_mut().zip(*self) {
+            plane.0[local..local + count].copy_from_slice(&channel[pixels.clone()]);
+        }
+        open.0[local..local + count].fill(1.0);
     }
 }
 
@@ -65,132 +69,86 @@ impl CpuRasterizer {
         tape: &mut RenderTape,
         out: &mut FootprintSums,
     ) {
-        self.accumulate_first(gaussians, gaussians.len(), view, &channels, tape, out);
+        let (n, count) = (gaussians.len(), channels.len());
+        let FootprintSums { channels: width, sums, hits, by_entry } = out;
+        *width = count;
+        sums.clear();
+        sums.resize(n * count, 0.0);
+        hits.clear();
+        hits.resize(n, 0);
+        self.sum_entries(gaussians, None, n, view, &channels, tape, by_entry);
+        by_entry.for_each(tape, n, |i, values, hit| {
+            sums[i * count..(i + 1) * count].copy_from_slice(values);
+            hits[i] = hit;
+        });
     }
 
-    /// As [`CpuRasterizer::accumulate`] for the first `wanted` Gaussians; the others only hide what is behind them.
-    pub fn accumulate_first(
+    /// Renders `gaussians` and sums the channels per (tile, splat) entry of the first `wanted` of them; the others only
+    /// hide what is behind them. Chunks of Gaussians whose `bounds` are out of sight are passed over.
+    #[allow(clippy::too_many_arguments)]
+    pub(crate) fn sum_entries(
         &self,
         gaussians: &Gaussians,
+        bounds: Option<&ChunkBounds>,
         wanted: usize,
         view: &View,
         channels: &impl PixelChannels,
         tape: &mut RenderTape,
-        out: &mut FootprintSums,
+        out: &mut EntrySums,
     ) {
-        self.prepare(gaussians, view, tape);
+        self.prepare_within(gaussians, bounds, view, tape);
         let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
         let RenderTape { lists, splats, grid, .. } = tape;
-        out.entries.clear();
-        out.entries.resize(lists.len() * width, 0.0);
+        out.width = width;
+        // Not cleared: each tile clears its own entries, while they are in its cache.
+        out.values.resize(lists.len() * width, 0.0);
         let starts: Vec<u32> = lists.starts.iter().map(|&s| s * width as u32).collect();
-        for_each_tile_slice(&starts, &mut out.entries, &|tile, entries| {
+        for_each_tile_slice(&starts, &mut out.values, &|tile, entries| {
             if entries.is_empty() {
                 return;
             }
+            entries.fill(0.0);
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len() / width];
             let (planes, open) = gather_channels(size, *grid, tile, channels);
             let origin = tile_origin(tile, *grid);
-            arch.dispatch(SumTile { origin, splats, slots, wanted, planes: &planes, open, entries });
+            for (step, planes) in planes.chunks(MAX_CHANNELS).enumerate() {
+                let (first, entries) = (step * MAX_CHANNELS, &mut *entries);
+                arch.dispatch(SumTile { origin, splats, slots, wanted, planes, first, width, open, entries });
+            }
         });
-        out.collect(wanted, channels.count(), tape);
     }
+}
 
-    /// Renders `gaussians` in two parts: what lies nearer than `depths` at each tile, and the rest over the view's
-    /// background.
-    pub fn render_split(
+/// Sums of each (tile, splat) entry by its place: those of the channels, then the hits.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct EntrySums {
+    width: usize,
+    values: Vec<f32>,
+}
+
+impl EntrySums {
+    /// Calls `visit(Gaussian, sums of the channels, hits)` for those of the first `wanted` Gaussians that reach a computed
+    /// tile, ascending. `tape` is that of the sums.
+    pub(crate) fn for_each(
         &self,
-        gaussians: &Gaussians,
-        view: &View,
-        depths: &TileDepths,
-        tape: &mut RenderTape,
-        out: &mut SplitLayers,
+        tape: &RenderTape,
+        wanted: usize,
+        mut visit: impl FnMut(usize, &[f32], u32),
     ) {
-        self.prepare(gaussians, view, tape);
-        let (arch, size) = (Arch::new(), view.camera.size());
-        let RenderTape { pixels, lists, splats, grid, .. } = tape;
-        out.reset(size);
-        out.tiles.resize_with(grid.count(), TilePixels::default);
-        pixels.par_iter_mut().zip(&mut out.tiles).enumerate().for_each(|(tile, (front, behind))| {
-            let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-            let cut = slots.partition_point(|s| splats[s.slot()].depth < depths.0[tile]);
-            let origin = tile_origin(tile, *grid);
-            arch.dispatch(BlendTile { origin, splats, slots: &slots[..cut], out: front });
-            arch.dispatch(BlendTile { origin, splats, slots: &slots[cut..], out: behind });
-        });
-        for tile in (0..grid.count()).filter(|&t| view.tiles.is_none_or(|m| m.is_active(t))) {
-            let (front, behind) = (&pixels[tile], &out.tiles[tile]);
-            for_each_pixel(size, *grid, tile, |pixel, local| {
-                let background = view.background.pixel(pixel);
-                let through = behind.transmittance.0[local];
-                out.transmittance[pixel] = front.transmittance.0[local];
-                out.front.set_pixel(pixel, [0, 1, 2].map(|c| front.rgb[c].0[local]));
-                out.behind
-                    .set_pixel(pixel, [0, 1, 2].map(|c| behind.rgb[c].0[local] + through * background[c]));
-            });
-        }
-    }
-}
-
-/// Depth (m) per tile at which [`CpuRasterizer::render_split`] cuts.
-#[derive(Clone, Debug)]
-pub struct TileDepths(Vec<f32>);
-
-impl TileDepths {
-    /// The nearest depth in each tile of what `tape` holds; tiles without any take the nearest of their neighbours,
-    /// spreading outward, so that a layer which grows a little stays in front of what is behind it.
-    pub fn nearest(tape: &RenderTape) -> Self {
-        let (grid, lists) = (tape.grid, &tape.lists);
-        let mut depths: Vec<f32> = (0..grid.count())
-            .map(|t| {
-                let (start, end) = (lists.starts[t] as usize, lists.starts[t + 1] as usize);
-                lists.slots[start..end].first().map_or(f32::INFINITY, |s| tape.splats[s.slot()].depth)
-            })
-            .collect();
-        for _ in 0..grid.columns.max(grid.rows) {
-            if depths.iter().all(|d| d.is_finite()) {
-                break;
+        let mut total = vec![0.0; self.width];
+        let lists = &tape.lists;
+        // Splats are in the order of the Gaussians.
+        let splats = tape.splats.iter().take_while(|s| (s.index as usize) < wanted);
+        for (splat, ends) in splats.zip(lists.entry_starts.windows(2)) {
+            total.fill(0.0);
+            for &place in &lists.entries[ends[0] as usize..ends[1] as usize] {
+                let values = &self.values[place as usize * self.width..(place as usize + 1) * self.width];
+                total.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             }
-            let before = depths.clone();
-            for tile in (0..depths.len()).filter(|&t| before[t].is_infinite()) {
-                let (x, y) = (tile % grid.columns, tile / grid.columns);
-                for ny in y.saturating_sub(1)..(y + 2).min(grid.rows) {
-                    for nx in x.saturating_sub(1)..(x + 2).min(grid.columns) {
-                        depths[tile] = depths[tile].min(before[ny * grid.columns + nx]);
-                    }
-                }
-            }
+            let (hits, sums) = total.split_last().expect("an entry holds its hits");
+            visit(splat.index as usize, sums, *hits as u32);
         }
-        Self(depths)
-    }
-}
-
-/// A layer cut in two at a depth per tile.
-#[derive(Clone, Debug)]
-pub struct SplitLayers {
-    /// Colour of the nearer part.
-    pub front: PlanarImage,
-    /// Transmittance of the nearer part, row-major.
-    pub transmittance: Vec<f32>,
-    /// Colour of the farther part over the background.
-    pub behind: PlanarImage,
-    tiles: Vec<TilePixels>,
-}
-
-impl Default for SplitLayers {
-    fn default() -> Self {
-        let empty = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
-        Self { front: empty.clone(), transmittance: Vec::new(), behind: empty, tiles: Vec::new() }
-    }
-}
-
-impl SplitLayers {
-    fn reset(&mut self, size: ImageSize) {
-        self.front.reset(size);
-        self.behind.reset(size);
-        self.transmittance.clear();
-        self.transmittance.resize(size.pixels(), 1.0);
     }
 }
 
@@ -203,46 +161,12 @@ fn gather_channels(
 ) -> (Vec<TilePlane>, TilePlane) {
     let mut planes = vec![TilePlane::ZERO; channels.count()];
     let mut open = TilePlane::ZERO;
-    let mut values = vec![0.0; channels.count()];
-    for_each_pixel(size, grid, tile, |pixel, local| {
-        if channels.at(pixel, &mut values) {
-            open.0[local] = 1.0;
-            planes.iter_mut().zip(&values).for_each(|(plane, &value)| plane.0[local] = value);
-        }
-    });
+    for_each_row(size, grid, tile, |pixels, local| channels.gather(pixels, local, &mut planes, &mut open));
     (planes, open)
 }
 
-impl FootprintSums {
-    /// Gaussians that reach a computed tile, ascending, with their sums and hits.
-    pub(crate) fn touched<'a>(
-        &'a self,
-        tape: &'a RenderTape,
-    ) -> impl Iterator<Item = (usize, &'a [f32], u32)> {
-        let wanted = self.hits.len();
-        let indices = tape.visible_indices().take_while(move |&i| i < wanted);
-        indices.map(|i| (i, self.of(i), self.hits(i)))
-    }
-
-    fn collect(&mut self, n: usize, channels: usize, tape: &RenderTape) {
-        let width = channels + 1;
-        self.channels = channels;
-        self.sums.clear();
-        self.sums.resize(n * channels, 0.0);
-        self.hits.clear();
-        self.hits.resize(n, 0);
-        // Splats are in the order of the Gaussians.
-        for (slot, splat) in tape.splats.iter().enumerate().take_while(|(_, s)| (s.index as usize) < n) {
-            let i = splat.index as usize;
-            let range = tape.lists.entry_starts[slot] as usize..tape.lists.entry_starts[slot + 1] as usize;
-            for &entry in &tape.lists.entries[range] {
-                let values = &self.entries[entry as usize * width..(entry as usize + 1) * width];
-                self.sums[i * channels..(i + 1) * channels].iter_mut().zip(values).for_each(|(s, v)| *s += v);
-                self.hits[i] += values[channels] as u32;
-            }
-        }
-    }
-}
+/// Channels summed in one walk over a tile; more take several.
+const MAX_CHANNELS: usize = 16;
 
 struct SumTile<'a> {
     origin: [usize; 2],
@@ -251,6 +175,10 @@ struct SumTile<'a> {
     /// Gaussians from this index on are not summed.
     wanted: usize,
     planes: &'a [TilePlane],
+    /// Channel of the first plane.
+    first: usize,
+    /// Values an entry: the sums of all channels, then the hits.
+    width: usize,
     /// Transmittance to begin with: 0 in pixels that do not count.
     open: TilePlane,
     entries: &'a mut [f32],
@@ -261,33 +189,63 @@ impl WithSimd for SumTile<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { origin, splats, slots, wanted, planes, mut open, entries } = self;
-        let planes: Vec<&[S::f32s]> = planes.iter().map(|p| S::as_simd_f32s(&p.0).0).collect();
-        let sums = vec![simd.splat_f32s(0.0); planes.len() + 1];
-        let mut visitor = Sum::<S> { planes, wanted, counts: true, shows: false, sums, entries };
+        // A number that the compiler knows keeps the sums in registers. One to five trackers that know all of the mask
+        // have 4, 7, 10, 13, 16 channels.
+        match self.planes.len() {
+            0..=4 => self.sum::<S, 4>(simd),
+            5..=7 => self.sum::<S, 7>(simd),
+            8..=10 => self.sum::<S, 10>(simd),
+            11..=13 => self.sum::<S, 13>(simd),
+            _ => self.sum::<S, MAX_CHANNELS>(simd),
+        }
+    }
+}
+
+impl SumTile<'_> {
+    /// With room for `C` channels, the last ones unused.
+    #[inline(always)]
+    fn sum<S: Simd, const C: usize>(self, simd: S) {
+        let Self { origin, splats, slots, wanted, planes, first, width, mut open, entries } = self;
+        let zero = simd.splat_f32s(0.0);
+        let mut columns = [S::as_simd_f32s(&TilePlane::ZERO.0).0; C];
+        columns.iter_mut().zip(planes).for_each(|(column, plane)| *column = S::as_simd_f32s(&plane.0).0);
+        let mut visitor = Sum::<S, C> {
+            planes: columns,
+            channels: first..first + planes.len(),
+            width,
+            wanted,
+            counts: true,
+            shows: false,
+            sums: [zero; C],
+            hits: zero,
+            entries,
+        };
         walk(simd, origin, splats, slots, &mut open, &mut visitor);
     }
 }
 
-struct Sum<'a, S: Simd> {
-    planes: Vec<&'a [S::f32s]>,
+struct Sum<'a, S: Simd, const C: usize> {
+    planes: [&'a [S::f32s]; C],
+    /// Channels that they are; there may be fewer.
+    channels: Range<usize>,
+    width: usize,
     wanted: usize,
     /// Whether the current splat is summed.
     counts: bool,
     /// Whether a pixel of it has counted; of hidden splats nothing needs to be written.
     shows: bool,
-    sums: Vec<S::f32s>,
+    sums: [S::f32s; C],
+    hits: S::f32s,
     entries: &'a mut [f32],
 }
 
-impl<S: Simd> Visitor<S> for Sum<'_, S> {
+impl<S: Simd, const C: usize> Visitor<S> for Sum<'_, S, C> {
     #[inline(always)]
     fn begin(&mut self, simd: S, splat: &Splat) {
         self.counts = (splat.index as usize) < self.wanted;
-        if self.shows {
-            self.sums.fill(simd.splat_f32s(0.0));
-            self.shows = false;
-        }
+        self.shows = false;
+        self.sums = [simd.splat_f32s(0.0); C];
+        self.hits = simd.splat_f32s(0.0);
     }
 
     #[inline(always)]
@@ -297,13 +255,12 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
         }
         self.shows = true;
         let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        for (sum, plane) in self.sums.iter_mut().zip(&self.planes) {
-            *sum = simd.mul_add_e_f32s(c.weight, plane[c.vector], *sum);
+        for k in 0..C {
+            self.sums[k] = simd.mul_add_e_f32s(c.weight, self.planes[k][c.vector], self.sums[k]);
         }
         let absent = simd.equal_f32s(self.planes[0][c.vector], zero);
         let hit = simd.select_f32s(c.counts, simd.select_f32s(absent, zero, one), zero);
-        let last = self.sums.len() - 1;
-        self.sums[last] = simd.add_f32s(self.sums[last], hit);
+        self.hits = simd.add_f32s(self.hits, hit);
     }
 
     #[inline(always)]
@@ -311,10 +268,10 @@ impl<S: Simd> Visitor<S> for Sum<'_, S> {
         if !self.shows {
             return;
         }
-        let width = self.sums.len();
-        let out = &mut self.entries[entry * width..(entry + 1) * width];
-        for (o, &s) in out.iter_mut().zip(&self.sums) {
+        let out = &mut self.entries[entry * self.width..(entry + 1) * self.width];
+        for (o, &s) in out[self.channels.clone()].iter_mut().zip(&self.sums) {
             *o = simd.reduce_sum_f32s(s);
         }
+        out[self.width - 1] = simd.reduce_sum_f32s(self.hits);
     }
 }

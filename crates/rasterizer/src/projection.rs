@@ -7,15 +7,17 @@ use ffgs_core::{Camera, Gaussians, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 
 /// Variance added to the projected covariance (px^2): the pixel filter of 3D Gaussian Splatting.
-const PIXEL_FILTER: f32 = 0.3;
+pub(crate) const PIXEL_FILTER: f32 = 0.3;
 /// The projection's Jacobian is evaluated inside the frustum widened by this share of its half-angle's tangent.
 const FRUSTUM_MARGIN: f32 = 0.3;
 /// Lower bound of the antialiasing compensation.
 const MIN_COMPENSATION: f32 = 0.005;
 /// Gaussians nearer to the camera plane than this (m) are not rendered.
-const NEAR: f32 = 0.01;
+pub(crate) const NEAR: f32 = 0.01;
 /// Contributions below this opacity are skipped.
 pub(crate) const MIN_ALPHA: f32 = 1.0 / 255.0;
+/// Standard deviations at which even an opaque splat falls below [`MIN_ALPHA`], `sqrt(2 ln 255)` rounded up.
+pub(crate) const MAX_REACH: f32 = 3.33;
 
 /// A camera in the rasterizer's precision; positions are taken relative to the centre in f64 first, so that
 /// city-scale coordinates lose nothing.
@@ -23,9 +25,10 @@ pub(crate) struct PinholeF32 {
     pub(crate) rotation: Mat3,
     pub(crate) center: DVec3,
     pub(crate) focal: [f32; 2],
-    principal: [f32; 2],
-    low: [f32; 2],
-    high: [f32; 2],
+    pub(crate) principal: [f32; 2],
+    /// Slopes x/z, y/z of the widened frustum's sides.
+    pub(crate) low: [f32; 2],
+    pub(crate) high: [f32; 2],
 }
 
 impl From<&Camera> for PinholeF32 {

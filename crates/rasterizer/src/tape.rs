@@ -5,6 +5,7 @@ use crate::projection::Splat;
 use crate::tile_lists::TileLists;
 use crate::tiles::{Span, TILE, TileGrid, TileMask};
 use ffgs_core::{ImageSize, PlanarImage};
+use std::ops::Range;
 
 /// Blended colour (without background) and final transmittance of one tile.
 #[derive(Clone, Debug)]
@@ -116,6 +117,20 @@ impl Append<'_> {
     }
 }
 
+/// Calls `visit(pixels of the image, index of the first in the tile)` for the rows of a tile inside the image.
+pub(crate) fn for_each_row(
+    size: ImageSize,
+    grid: TileGrid,
+    tile: usize,
+    mut visit: impl FnMut(Range<usize>, usize),
+) {
+    let (x0, y0) = (tile % grid.columns * TILE, tile / grid.columns * TILE);
+    for y in 0..TILE.min(size.height - y0) {
+        let first = (y0 + y) * size.width + x0;
+        visit(first..first + TILE.min(size.width - x0), y * TILE);
+    }
+}
+
 /// Calls `visit(pixel index in the image, pixel index in the tile)` for the pixels of a tile inside the image.
 pub(crate) fn for_each_pixel(
     size: ImageSize,
@@ -123,12 +138,9 @@ pub(crate) fn for_each_pixel(
     tile: usize,
     mut visit: impl FnMut(usize, usize),
 ) {
-    let (x0, y0) = (tile % grid.columns * TILE, tile / grid.columns * TILE);
-    for y in 0..TILE.min(size.height - y0) {
-        for x in 0..TILE.min(size.width - x0) {
-            visit((y0 + y) * size.width + x0 + x, y * TILE + x);
-        }
-    }
+    for_each_row(size, grid, tile, |pixels, local| {
+        pixels.enumerate().for_each(|(x, pixel)| visit(pixel, local + x));
+    });
 }
 
 /// Collects one row-major value per pixel into a tile plane; 0 beyond the image.

@@ -2,7 +2,7 @@
 
 use crate::projection::{Extent, Splat};
 use ffgs_core::{ImageSize, Mask};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 /// Side of a square tile in pixels: one 16-lane vector a row.
 pub const TILE: usize = 16;
@@ -50,6 +50,12 @@ impl TileMask {
             }
         }
         runs
+    }
+
+    /// Whether any tile in these rows and columns is computed.
+    pub(crate) fn any_in(&self, rows: RangeInclusive<i32>, columns: &RangeInclusive<i32>) -> bool {
+        let (first, end) = (*columns.start() as u32, *columns.end() as u32 + 1);
+        !columns.is_empty() && { rows }.any(|row| self.any(Span { row: row as u32, first, end }))
     }
 
     fn any(&self, span: Span) -> bool {
@@ -117,7 +123,7 @@ pub(crate) fn cover(
 
 /// First and last of `count` tiles with a pixel centre in `low..=high` (px); the first comes after the last if none.
 #[inline(always)]
-fn tile_range(low: f32, high: f32, count: usize) -> (i32, i32) {
+pub(crate) fn tile_range(low: f32, high: f32, count: usize) -> (i32, i32) {
     const SHARE: f32 = 1.0 / TILE as f32;
     let at = |v: f32| ((v - 0.5) * SHARE).max(-1.0).min(count as f32).floor() as i32;
     (at(low).max(0), at(high).min(count as i32 - 1))

@@ -6,7 +6,7 @@ mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
 use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, count_views, second_chance, validate};
-use ffgs_rasterizer::{Association, AssociationScratch, Observed};
+use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
 use glam::{DMat3, DVec3};
@@ -121,12 +121,13 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
             agreement(fields, Some(&view.mask), &AgreementConfig::default()).expect("one size");
         });
         watch.stop(2);
+        let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
         views.par_iter().zip(cameras).zip(&fields).zip(rows).for_each(|(((view, camera), fields), out)| {
             let mask = &view.mask;
             let association =
                 Association { camera, mask, fields, flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 };
             let mut own = scratch.lock().expect("no panic").pop().unwrap_or_default();
-            association.observe(&scene.joint, &scene.previous, out, &mut own);
+            association.observe(&gaussians, out, &mut own);
             scratch.lock().expect("no panic").push(own);
         });
         watch.stop(3);

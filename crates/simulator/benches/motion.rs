@@ -8,7 +8,7 @@ mod scene;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ffgs_core::{Estimates, Mask};
 use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, count_views};
-use ffgs_rasterizer::{Association, AssociationScratch, Observed};
+use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_simulator::{Recipe, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
@@ -63,10 +63,11 @@ fn associate(b: &mut criterion::Bencher, association: &Association, scene: &Scen
     let n = scene.previous.len();
     let mut columns = vec![(vec![DVec2::ZERO; n], vec![0.0; n]); association.fields.len()];
     let mut scratch = AssociationScratch::default();
+    let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
     b.iter(|| {
         let mut out: Vec<Observed> =
             columns.iter_mut().map(|(targets, weights)| Observed { targets, weights }).collect();
-        association.observe(&scene.joint, &scene.previous, &mut out, &mut scratch);
+        association.observe(&gaussians, &mut out, &mut scratch);
     });
 }
 

@@ -6,7 +6,7 @@ mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
 use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ViewCounts, count_views};
-use ffgs_rasterizer::{Association, AssociationScratch, Observed};
+use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
 use glam::{DMat3, DVec2, DVec3};
@@ -95,8 +95,7 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>]) -> Vec<Observations> {
             .collect();
         let (camera, mask) = (&scene.cameras[v], &view.mask);
         Association { camera, mask, fields, flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 }.observe(
-            &scene.joint,
-            &scene.previous,
+            &AssociationScene::new(&scene.joint, &scene.previous),
             &mut out,
             &mut AssociationScratch::default(),
         );

@@ -4,7 +4,7 @@ use super::fields::{agree, densify_tracks, load, selected_trackers};
 use super::{MotionInput, MotionOutcome, add_seconds};
 use anyhow::Result;
 use ffgs_core::{DenseMotion, Gaussians, Observations};
-use ffgs_rasterizer::{Association, AssociationScratch, Observed};
+use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_trainer::TrainingView;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -27,6 +27,7 @@ pub fn observe(
     let mut rows = rows(&mut observations);
     let joint = shapes(gaussians, input.static_layer);
     let previous = outcome.previous.clone();
+    let scene = AssociationScene::new(&joint, &previous);
     let scratch = Mutex::new(Vec::new());
     let views: Vec<usize> = (0..input.before.len()).filter(|&v| input.before[v].mask.count() > 0).collect();
     for group in views.chunks(views_at_once(input, trackers.len())) {
@@ -37,7 +38,7 @@ pub fn observe(
         group.par_iter().zip(&fields).zip(rows).for_each(|((&v, fields), mut rows)| {
             with_scratch(&scratch, |scratch| {
                 let association = association(input, &input.before[v], fields);
-                association.observe(&joint, &previous, &mut rows, scratch);
+                association.observe(&scene, &mut rows, scratch);
             });
         });
         add_seconds(&mut outcome.seconds.association, start);
