@@ -15,10 +15,11 @@ pub struct Observations {
 }
 
 impl Observations {
-    /// `views * gaussians` unobserved entries.
+    /// `views * gaussians` unobserved entries. They take no memory until they are written: there can be a gigabyte of
+    /// them, most of it of views that do not see what moves.
     pub fn unobserved(views: usize, gaussians: usize) -> Self {
         let n = views * gaussians;
-        Self { views, gaussians, targets: vec![DVec2::ZERO; n], weights: vec![0.0; n] }
+        Self { views, gaussians, targets: bytemuck::zeroed_vec(n), weights: bytemuck::zeroed_vec(n) }
     }
 }
 

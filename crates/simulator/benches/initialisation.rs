@@ -100,7 +100,7 @@ fn median_error(means: &mut [DVec3], truth: &[DVec3]) -> f64 {
 /// Views in groups whose fields take 1 GiB at most, as the pipeline does.
 fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
     let (n, views) = (scene.previous.len(), scene.views.len());
-    let mut observations = vec![Observations::unobserved(views, n); 3];
+    let mut observations: Vec<_> = (0..3).map(|_| Observations::unobserved(views, n)).collect();
     let mut rows: Vec<Vec<Observed>> = (0..views).map(|_| Vec::new()).collect();
     for observation in &mut observations {
         let columns = observation.targets.chunks_mut(n).zip(observation.weights.chunks_mut(n));
@@ -108,11 +108,12 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
             .zip(columns)
             .for_each(|(row, (targets, weights))| row.push(Observed { targets, weights }));
     }
+    let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
+    watch.stop(3);
     let group = ((1 << 30) / (scene.views[0].mask.size().pixels() * 48)).clamp(1, views);
     let scratch = Mutex::new(Vec::<AssociationScratch>::new());
     let parts = scene.views.chunks(group).zip(scene.cameras.chunks(group));
     for ((views, cameras), rows) in parts.zip(rows.chunks_mut(group)) {
-        watch.since = Instant::now();
         let dense: Vec<DenseMotion> = views.par_iter().map(|v| v.dense.clone()).collect();
         watch.stop(0);
         let mut fields: Vec<Vec<DenseMotion>> = views.par_iter().zip(dense).map(fields).collect();
@@ -121,7 +122,6 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
             agreement(fields, Some(&view.mask), &AgreementConfig::default()).expect("one size");
         });
         watch.stop(2);
-        let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
         views.par_iter().zip(cameras).zip(&fields).zip(rows).for_each(|(((view, camera), fields), out)| {
             let mask = &view.mask;
             let association =
@@ -130,6 +130,7 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
             association.observe(&gaussians, out, &mut own);
             scratch.lock().expect("no panic").push(own);
         });
+        drop(fields);
         watch.stop(3);
     }
     observations

@@ -22,8 +22,8 @@ pub fn observe(
     inspect: &mut dyn FnMut(usize, &[DenseMotion]),
 ) -> Result<Vec<Observations>> {
     let trackers = selected_trackers(input, outcome);
-    let mut observations =
-        vec![Observations::unobserved(input.before.len(), gaussians.len()); trackers.len()];
+    let unobserved = || Observations::unobserved(input.before.len(), gaussians.len());
+    let mut observations: Vec<_> = trackers.iter().map(|_| unobserved()).collect();
     let mut rows = rows(&mut observations);
     let joint = shapes(gaussians, input.static_layer);
     let previous = outcome.previous.clone();

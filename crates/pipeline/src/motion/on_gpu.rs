@@ -27,8 +27,8 @@ pub(super) fn observe(
     outcome: &mut MotionOutcome,
 ) -> Result<Vec<Observations>> {
     let trackers = selected_trackers(input, outcome);
-    let mut observations =
-        vec![Observations::unobserved(input.before.len(), gaussians.len()); trackers.len()];
+    let unobserved = || Observations::unobserved(input.before.len(), gaussians.len());
+    let mut observations: Vec<_> = trackers.iter().map(|_| unobserved()).collect();
     let scene = GpuScene::upload(gpu, &shapes(gaussians, input.static_layer))?;
     let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
     let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
