@@ -101,7 +101,19 @@ pub fn densify_view(
         SourceFilter::All => interpolator.densify(tracks, mask.size(), Some(mask), out)?,
     }
     if config.use_visibility {
-        out.confidence.iter_mut().zip(&out.visibility).for_each(|(c, v)| *c *= v);
+        weigh_by_visibility(out, mask);
     }
     Ok(())
+}
+
+/// Multiplies the confidence by the visibility. Only where there is something of the mask: the rest is unknown, and its memory
+/// untouched.
+fn weigh_by_visibility(motion: &mut DenseMotion, mask: &Mask) {
+    const PART: usize = 64;
+    let parts = motion.confidence.chunks_mut(PART).zip(motion.visibility.chunks(PART));
+    for ((confidence, visibility), mask) in parts.zip(mask.data().chunks(PART)) {
+        if mask.iter().any(|&m| m != 0) {
+            confidence.iter_mut().zip(visibility).for_each(|(c, v)| *c *= v);
+        }
+    }
 }

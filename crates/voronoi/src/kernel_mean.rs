@@ -1,178 +1,133 @@
-//! The inner loop of [`crate::GaussianKnn`]: the pixels of a tile side by side. Plain loops over a fixed number of pixels,
-//! long enough that the compiler turns them into vectors of the dispatched instruction set rather than unrolling them.
+//! The inner loop of [`crate::GaussianKnn`].
 
+use crate::exponential::exp_negative;
+use crate::nearest::{Candidate, Keys, LANES, SLOTS};
 use pulp::{Simd, WithSimd};
 
-/// Pixels at once: a tile of 8 x 8.
-pub const LANES: usize = 64;
-/// Pixels are worked on in steps of so many: one AVX-512 register of f64.
-const STEP: usize = 8;
-
-/// One value of each pixel.
-pub type Column = [f64; LANES];
-
-/// A track: where it begins (normalised) and what is averaged.
-#[derive(Clone, Copy)]
-pub struct Candidate {
-    pub point: [f64; 2],
-    pub values: [f64; 3],
-}
+/// What is averaged, the number 1 last: its sum is that of the weights.
+pub type Values = [f64; 4];
 
 /// Means over the K nearest of the candidates, weighted by `exp(-(d^2 - d_1^2) half_precision)`, and the confidence
 /// `exp(-d_1^2 half_precision)`. Weights are relative to the nearest, whose own weight is then 1: the sum can neither
 /// underflow nor be 0 / 0 however far the tracks are.
 pub struct KernelMean<'a> {
-    /// Places of the pixels (normalised).
-    pub x: &'a Column,
-    pub y: &'a Column,
-    /// How many of them count.
-    pub pixels: usize,
-    /// At least K; of equally distant ones the first count.
+    /// Places of the pixels (normalised), whole vectors of them.
+    pub x: &'a [f64],
+    pub y: &'a [f64],
+    /// At least K; of equally distant ones the first tracks count.
     pub candidates: &'a [Candidate],
+    /// (N) values of all tracks.
+    pub values: &'a [Values],
+    pub keys: Keys,
+    pub k: usize,
     pub half_precision: f64,
-    /// (K) scratch.
-    pub nearest: &'a mut [Column],
+    /// One for each pixel; may be fewer than places.
+    pub out: &'a mut [Mean],
 }
 
-/// What [`KernelMean`] finds.
-pub struct Means {
-    pub values: [Column; 3],
-    pub confidence: Column,
+/// What [`KernelMean`] finds of a pixel.
+#[derive(Clone, Copy, Default)]
+pub struct Mean {
+    pub values: [f64; 3],
+    pub confidence: f64,
 }
 
 impl WithSimd for KernelMean<'_> {
-    type Output = Means;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Means {
-        let Self { x, y, pixels, candidates, half_precision, nearest } = self;
-        let n = pixels.next_multiple_of(STEP).min(LANES);
-        let (x, y) = (&x[..n], &y[..n]);
-        sort_nearest(x, y, candidates, nearest);
-        let (first, last) = (nearest[0], nearest[nearest.len() - 1]);
-        // How many of those at the distance of the K-th still count.
-        let mut ties = [0.0; LANES];
-        for slot in nearest.iter() {
-            for k in 0..n {
-                ties[k] += if slot[k] < last[k] { 0.0 } else { 1.0 };
-            }
-        }
-        let (mut sums, mut total) = ([[0.0; LANES]; 3], [0.0; LANES]);
-        for candidate in candidates {
-            let ([px, py], [a, b, c]) = (candidate.point, candidate.values);
-            let [sum_a, sum_b, sum_c] = &mut sums;
-            for k in 0..n {
-                let d2 = squared_distance(x[k] - px, y[k] - py);
-                let tie = if d2 == last[k] { 1.0 } else { 0.0 };
-                let open = if ties[k] > 0.0 { tie } else { 0.0 };
-                let counts = if d2 < last[k] { 1.0 } else { open };
-                ties[k] -= tie;
-                let weight = counts * exp_negative((d2 - first[k]).max(0.0) * half_precision);
-                total[k] += weight;
-                sum_a[k] += weight * a;
-                sum_b[k] += weight * b;
-                sum_c[k] += weight * c;
-            }
-        }
-        let mut confidence = [0.0; LANES];
-        for k in 0..n {
-            for sum in &mut sums {
-                sum[k] /= total[k];
-            }
-            confidence[k] = exp_negative(first[k] * half_precision);
-        }
-        Means { values: sums, confidence }
-    }
-}
-
-/// The K least squared distances of each pixel, ascending.
-#[inline(always)]
-fn sort_nearest(x: &[f64], y: &[f64], candidates: &[Candidate], nearest: &mut [Column]) {
-    nearest.fill([f64::INFINITY; LANES]);
-    let mut distances = [0.0; LANES];
-    for candidate in candidates {
-        let [px, py] = candidate.point;
-        let d2 = &mut distances[..x.len()];
-        for k in 0..x.len() {
-            d2[k] = squared_distance(x[k] - px, y[k] - py);
-        }
-        for slot in nearest.iter_mut() {
-            for (d, s) in d2.iter_mut().zip(slot) {
-                let (low, high) = if *d < *s { (*d, *s) } else { (*s, *d) };
-                *s = low;
-                *d = high;
-            }
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let out = std::mem::take(&mut self.out);
+        let places = S::as_simd_f64s(self.x).0.iter().zip(S::as_simd_f64s(self.y).0);
+        for ((&x, &y), out) in places.zip(out.chunks_mut(S::F64_LANES)) {
+            self.vector(simd, [x, y], out);
         }
     }
 }
 
-#[inline(always)]
-fn squared_distance(dx: f64, dy: f64) -> f64 {
-    dx * dx + dy * dy
-}
-
-/// `exp(-x)` for `x >= 0`, relative error below 1e-11; 0 beyond the normal numbers. No call, so that it runs in lanes.
-#[inline(always)]
-fn exp_negative(x: f64) -> f64 {
-    /// Adding this rounds to a whole number, which is then in the low bits.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
-    const INVERSE_FACTORIALS: [f64; 10] = [
-        1.0,
-        1.0,
-        1.0 / 2.0,
-        1.0 / 6.0,
-        1.0 / 24.0,
-        1.0 / 120.0,
-        1.0 / 720.0,
-        1.0 / 5040.0,
-        1.0 / 40320.0,
-        1.0 / 362_880.0,
-    ];
-    let octaves = if x < 700.0 { x } else { 700.0 } * -std::f64::consts::LOG2_E;
-    let rounded = octaves + ROUND;
-    let rest = (octaves - (rounded - ROUND)) * std::f64::consts::LN_2;
-    let mut power = INVERSE_FACTORIALS[9];
-    for i in (0..9).rev() {
-        power = power * rest + INVERSE_FACTORIALS[i];
+impl KernelMean<'_> {
+    /// The pixels of one vector.
+    #[inline(always)]
+    fn vector<S: Simd>(&self, simd: S, place: [S::f64s; 2], out: &mut [Mean]) {
+        let (mut sums, mut first) = ([[0.0; 4]; LANES], [0.0; LANES]);
+        let mut after = simd.splat_f64s(-1.0);
+        for pass in (0..self.k).step_by(SLOTS) {
+            let slots = self.keys.nearest(simd, place, self.candidates, after);
+            after = slots[SLOTS - 1];
+            let mut keys = [[0.0; LANES]; SLOTS];
+            for (key, slot) in keys.iter_mut().zip(slots) {
+                S::as_mut_simd_f64s(key).0[0] = slot;
+            }
+            if pass == 0 {
+                first = keys[0].map(|key| self.keys.squared_distance(key));
+            }
+            let count = (self.k - pass).min(SLOTS);
+            self.add(&keys[..count], &first, &mut sums[..out.len()]);
+        }
+        for (lane, out) in out.iter_mut().enumerate() {
+            let [a, b, c, total] = sums[lane];
+            out.values = [a / total, b / total, c / total];
+            out.confidence = exp_negative(first[lane] * self.half_precision);
+        }
     }
-    let scale = f64::from_bits((rounded.to_bits() << 52).wrapping_add(1023 << 52));
-    if x < 700.0 { power * scale } else { 0.0 }
+
+    /// Adds weighted neighbours to the sums of each lane.
+    #[inline(always)]
+    fn add(&self, keys: &[[f64; LANES]], first: &[f64; LANES], sums: &mut [Values]) {
+        let mut weights = [[0.0; LANES]; SLOTS];
+        for (weights, keys) in weights.iter_mut().zip(keys) {
+            for lane in 0..LANES {
+                let d2 = self.keys.squared_distance(keys[lane]) - first[lane];
+                weights[lane] = exp_negative(d2 * self.half_precision);
+            }
+        }
+        for (lane, sum) in sums.iter_mut().enumerate() {
+            for (keys, weights) in keys.iter().zip(&weights) {
+                let values = &self.values[self.keys.track(keys[lane])];
+                for v in 0..4 {
+                    sum[v] += weights[lane] * values[v];
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_exponential_is_accurate_and_ends_at_zero() {
-        for i in 0..70_000 {
-            let x = f64::from(i) * 0.01;
-            let exact = (-x).exp();
-            assert!((exp_negative(x) - exact).abs() <= 2e-11 * exact, "exp(-{x})");
-        }
-        assert_eq!(exp_negative(0.0), 1.0);
-        assert_eq!(exp_negative(1e300), 0.0);
+    /// The mean of values 1, 2, 4, ... over the K nearest of some tracks, at the origin and far too narrow or wide a kernel.
+    fn mean(points: &[[f64; 2]], k: usize, half_precision: f64) -> Mean {
+        let candidate = |(track, &point): (usize, &[f64; 2])| Candidate { point, track: track as u32 };
+        let candidates: Vec<Candidate> = points.iter().enumerate().rev().map(candidate).collect();
+        let values: Vec<Values> = (0..points.len()).map(|t| [(1_u64 << t) as f64, 0.0, 0.0, 1.0]).collect();
+        let mut out = [Mean::default(); 3];
+        pulp::Arch::new().dispatch(KernelMean {
+            x: &[0.0; LANES],
+            y: &[0.0; LANES],
+            candidates: &candidates,
+            values: &values,
+            keys: Keys::new(points.len()),
+            k,
+            half_precision,
+            out: &mut out,
+        });
+        assert!(out.iter().all(|m| m.values == out[0].values));
+        out[0]
     }
 
     #[test]
     fn ties_at_the_last_neighbour_go_to_the_first_tracks() {
-        // Four tracks at one distance of the pixel at 0; two count.
-        let track = |point, value| Candidate { point, values: [value, 0.0, 0.0] };
-        let candidates = [
-            track([0.1, 0.0], 1.0),
-            track([-0.1, 0.0], 2.0),
-            track([0.0, 0.1], 30.0),
-            track([0.0, -0.1], 40.0),
-        ];
-        let mut nearest = [[0.0; LANES]; 2];
-        let mean = KernelMean {
-            x: &[0.0; LANES],
-            y: &[0.0; LANES],
-            pixels: 3,
-            candidates: &candidates,
-            half_precision: 1.0,
-            nearest: &mut nearest,
-        };
-        assert_eq!(pulp::Arch::new().dispatch(mean).values[0][..3], [1.5; 3]);
+        let points = [[0.1, 0.0], [-0.1, 0.0], [0.0, 0.1], [0.0, -0.1]];
+        assert_eq!(mean(&points, 2, 1.0).values[0], 1.5);
+        assert_eq!(mean(&[[0.0; 2]; 30], 2, 1.0).values[0], 1.5);
+    }
+
+    #[test]
+    fn more_neighbours_than_one_pass_finds() {
+        // The nearest 20 of 30 have the values 2^10 to 2^29 and, under so wide a kernel, equal weights.
+        let points: Vec<[f64; 2]> = (0..30).map(|t| [0.0, f64::from(30 - t)]).collect();
+        let expected = f64::from((1 << 30) - (1 << 10)) / 20.0;
+        assert!((mean(&points, 20, 1e-16).values[0] / expected - 1.0).abs() < 1e-9);
     }
 }

@@ -19,10 +19,12 @@
 
 mod agreement;
 mod config;
+mod exponential;
 mod gaussian_knn;
 mod interpolator;
 mod kernel_mean;
 mod natural_neighbour;
+mod nearest;
 mod normalised;
 
 pub use agreement::{AgreementConfig, agreement};
