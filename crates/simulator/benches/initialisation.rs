@@ -137,11 +137,10 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
 }
 
 fn fields((view, dense): (&SceneView, DenseMotion)) -> Vec<DenseMotion> {
-    let tracked = view.tracks.par_iter().map(|tracks| {
-        let mut field = DenseMotion::unknown(view.mask.size());
-        densify_view(&VoronoiConfig::default(), tracks, &view.mask, &mut field).expect("valid tracks");
-        field
-    });
+    let tracked = view
+        .tracks
+        .par_iter()
+        .map(|tracks| densify_view(&VoronoiConfig::default(), tracks, &view.mask).expect("valid tracks"));
     let mut fields: Vec<DenseMotion> = tracked.collect();
     fields.push(dense);
     fields

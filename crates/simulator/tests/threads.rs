@@ -70,11 +70,7 @@ fn initialise(scene: &Scene) -> Outcome {
 
 fn fields(view: &scene::SceneView) -> Vec<DenseMotion> {
     let mut fields: Vec<DenseMotion> = (view.tracks.iter())
-        .map(|tracks| {
-            let mut field = DenseMotion::unknown(view.mask.size());
-            densify_view(&VoronoiConfig::default(), tracks, &view.mask, &mut field).expect("valid tracks");
-            field
-        })
+        .map(|tracks| densify_view(&VoronoiConfig::default(), tracks, &view.mask).expect("valid tracks"))
         .collect();
     fields.push(view.dense.clone());
     agreement(&mut fields, Some(&view.mask), &AgreementConfig::default()).expect("one size");

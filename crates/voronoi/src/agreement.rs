@@ -1,5 +1,8 @@
 use crate::MotionError;
+use crate::exponential::exp_negative;
+use crate::normalised::any;
 use ffgs_core::{DenseMotion, Mask};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -49,48 +52,144 @@ pub fn agreement(
         fields.push(flow.flow.as_slice());
         bands.iter_mut().zip(flow.confidence.chunks_mut(PIXELS)).for_each(|(band, part)| band.push(part));
     }
-    let pixels = Pixels { fields, ignore_unknown: config.ignore_unknown, floor: floor.into() };
-    bands.into_par_iter().enumerate().for_each(|(b, mut confidences)| {
-        let mut factors = vec![0.0; confidences.len()];
-        for k in (0..confidences[0].len()).filter(|k| region.is_none_or(|m| m.data()[b * PIXELS + k] != 0)) {
-            pixels.factors(b * PIXELS + k, |l| confidences[l][k], &mut factors);
-            confidences.iter_mut().zip(&factors).for_each(|(c, f)| c[k] *= f);
-        }
+    bands.into_par_iter().enumerate().for_each(|(band, confidences)| {
+        let start = band * PIXELS;
+        let pixels = start..start + confidences[0].len();
+        let flows: Vec<_> = fields.iter().map(|field| &field[pixels.clone()]).collect();
+        let region = region.map(|mask| &mask.data()[pixels]);
+        Arch::new().dispatch(Band { flows: &flows, confidences, region, config });
     });
     Ok(())
 }
 
 /// Pixels a task scores.
 const PIXELS: usize = 1 << 12;
+/// Pixels scored side by side. Plain loops over them become vectors of the dispatched instruction set.
+const LANES: usize = 64;
+type Column = [f64; LANES];
 
-struct Pixels<'a> {
-    fields: Vec<&'a [[f32; 2]]>,
-    ignore_unknown: bool,
-    floor: f64,
+struct Band<'a> {
+    /// (L) flows, confidences and the region at the same pixels.
+    flows: &'a [&'a [[f32; 2]]],
+    confidences: Vec<&'a mut [f32]>,
+    region: Option<&'a [u8]>,
+    config: &'a AgreementConfig,
 }
 
-impl Pixels<'_> {
-    /// `exp(-D_l / max(M, floor))` of every tracker l at `pixel`, given their confidences.
-    fn factors(&self, pixel: usize, confidence: impl Fn(usize) -> f32, out: &mut [f32]) {
-        let known = |m: &usize| confidence(*m) > 0.0 || !self.ignore_unknown;
-        let trackers = || (0..self.fields.len()).filter(known);
-        let flow = |m: usize| self.fields[m][pixel].map(f64::from);
-        let magnitude: f64 = trackers().map(|m| length(flow(m))).sum();
-        let count = trackers().count() as f64;
-        out.fill(1.0);
-        for l in trackers() {
-            let [x, y] = flow(l);
-            let disagreement: f64 = trackers().map(flow).map(|[u, v]| length([x - u, y - v])).sum();
-            // Equal flows agree perfectly, also where nothing moves and there is no floor (0 / 0).
-            if disagreement > 0.0 {
-                let mean = disagreement / (count - 1.0);
-                out[l] = (-mean / (magnitude / count).max(self.floor)).exp() as f32;
+/// What a tracker says at some pixels.
+#[derive(Clone)]
+struct Tracker {
+    x: Column,
+    y: Column,
+    /// 1 where it counts, 0 where not.
+    known: Column,
+    /// Sum of the distances from the flows of the others that count.
+    disagreement: Column,
+}
+
+impl WithSimd for Band<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let blank =
+            Tracker { x: [0.0; LANES], y: [0.0; LANES], known: [0.0; LANES], disagreement: [0.0; LANES] };
+        let mut trackers = vec![blank; self.flows.len()];
+        let pixels = self.flows[0].len();
+        for start in (0..pixels).step_by(LANES) {
+            let part = start..(start + LANES).min(pixels);
+            let region = self.region.map(|region| &region[part.clone()]);
+            if region.is_some_and(|region| !any(region)) {
+                continue;
+            }
+            for (l, tracker) in trackers.iter_mut().enumerate() {
+                let ignore_unknown = self.config.ignore_unknown;
+                tracker.load(
+                    &self.flows[l][part.clone()],
+                    &self.confidences[l][part.clone()],
+                    ignore_unknown,
+                );
+            }
+            compare(&mut trackers);
+            let scale = scale(&trackers, self.config.magnitude_floor_px.into());
+            for (tracker, confidences) in trackers.iter().zip(&mut self.confidences) {
+                tracker.weigh(&scale, region, &mut confidences[part.clone()]);
             }
         }
     }
 }
 
+impl Tracker {
+    #[inline(always)]
+    fn load(&mut self, flows: &[[f32; 2]], confidences: &[f32], ignore_unknown: bool) {
+        let n = flows.len().min(LANES);
+        let (flows, confidences) = (&flows[..n], &confidences[..n]);
+        for k in 0..n {
+            let counts = confidences[k] > 0.0 || !ignore_unknown;
+            // An unknown flow may be anything.
+            let [x, y] = if counts { flows[k] } else { [0.0; 2] };
+            self.known[k] = if counts { 1.0 } else { 0.0 };
+            (self.x[k], self.y[k]) = (x.into(), y.into());
+        }
+        self.disagreement = [0.0; LANES];
+    }
+
+    /// Multiplies confidences in the region by `exp(-D / max(M, floor))`.
+    #[inline(always)]
+    fn weigh(&self, scale: &Column, region: Option<&[u8]>, confidences: &mut [f32]) {
+        let mut factors = [1.0; LANES];
+        for k in 0..LANES {
+            let disagreement = self.disagreement[k] * self.known[k];
+            let factor = exp_negative(disagreement / scale[k]) as f32;
+            // Equal flows agree perfectly, also where nothing moves and there is no floor (0 / 0).
+            factors[k] = if disagreement > 0.0 { factor } else { 1.0 };
+        }
+        if let Some(region) = region {
+            for (factor, inside) in factors.iter_mut().zip(region) {
+                *factor = if *inside != 0 { *factor } else { 1.0 };
+            }
+        }
+        for (confidence, factor) in confidences.iter_mut().zip(factors) {
+            *confidence *= factor;
+        }
+    }
+}
+
+/// Adds the distance between the flows of each two to the disagreement of both.
+#[inline(always)]
+fn compare(trackers: &mut [Tracker]) {
+    for second in 1..trackers.len() {
+        let (firsts, seconds) = trackers.split_at_mut(second);
+        let b = &mut seconds[0];
+        for a in firsts {
+            for k in 0..LANES {
+                let distance = length([a.x[k] - b.x[k], a.y[k] - b.y[k]]);
+                a.disagreement[k] += b.known[k] * distance;
+                b.disagreement[k] += a.known[k] * distance;
+            }
+        }
+    }
+}
+
+/// What the sum of a tracker's distances is divided by: `max(M, floor)` times the number of the others.
+#[inline(always)]
+fn scale(trackers: &[Tracker], floor: f64) -> Column {
+    let (mut magnitude, mut count) = ([0.0; LANES], [0.0; LANES]);
+    for tracker in trackers {
+        for k in 0..LANES {
+            magnitude[k] += tracker.known[k] * length([tracker.x[k], tracker.y[k]]);
+            count[k] += tracker.known[k];
+        }
+    }
+    for k in 0..LANES {
+        let mean = magnitude[k] / count[k];
+        magnitude[k] = if mean > floor { mean } else { floor } * (count[k] - 1.0);
+    }
+    magnitude
+}
+
 /// Of f32 numbers, whose squares f64 holds without overflow.
+#[inline(always)]
 fn length([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }

@@ -1,3 +1,4 @@
+use crate::normalised::any;
 use crate::{GaussianKnn, MotionError, MotionInterpolator, NaturalNeighbour};
 use ffgs_core::{DenseMotion, ImageSize, Mask, TrackSet};
 use serde::{Deserialize, Serialize};
@@ -83,7 +84,7 @@ pub fn filter_sources(tracks: &TrackSet, mask: &Mask) -> TrackSet {
 
 /// The whole stage for one tracker and view: source filter, interpolation over `mask` (t-1), visibility.
 ///
-/// `out` is resized to the mask's size; pixels outside the mask stay unknown.
+/// The field has the mask's size; pixels outside the mask are unknown.
 ///
 /// # Errors
 /// As [`MotionInterpolator::densify`].
@@ -91,19 +92,18 @@ pub fn densify_view(
     config: &VoronoiConfig,
     tracks: &TrackSet,
     mask: &Mask,
-    out: &mut DenseMotion,
-) -> Result<(), MotionError> {
+) -> Result<DenseMotion, MotionError> {
     let interpolator = config.interpolator();
-    match config.source_filter {
+    let mut out = match config.source_filter {
         SourceFilter::Foreground => {
-            interpolator.densify(&filter_sources(tracks, mask), mask.size(), Some(mask), out)?;
+            interpolator.densify(&filter_sources(tracks, mask), mask.size(), Some(mask))?
         }
-        SourceFilter::All => interpolator.densify(tracks, mask.size(), Some(mask), out)?,
-    }
+        SourceFilter::All => interpolator.densify(tracks, mask.size(), Some(mask))?,
+    };
     if config.use_visibility {
-        weigh_by_visibility(out, mask);
+        weigh_by_visibility(&mut out, mask);
     }
-    Ok(())
+    Ok(out)
 }
 
 /// Multiplies the confidence by the visibility. Only where there is something of the mask: the rest is unknown, and its memory
@@ -112,7 +112,7 @@ fn weigh_by_visibility(motion: &mut DenseMotion, mask: &Mask) {
     const PART: usize = 64;
     let parts = motion.confidence.chunks_mut(PART).zip(motion.visibility.chunks(PART));
     for ((confidence, visibility), mask) in parts.zip(mask.data().chunks(PART)) {
-        if mask.iter().any(|&m| m != 0) {
+        if any(mask) {
             confidence.iter_mut().zip(visibility).for_each(|(c, v)| *c *= v);
         }
     }

@@ -1,6 +1,6 @@
 use crate::kernel_mean::{KernelMean, Mean, Values};
 use crate::nearest::{Candidate, Keys, KthNearest, LANES};
-use crate::normalised::{Normalisation, NormalisedTracks, RowBand, bands, check_sigma, prepare};
+use crate::normalised::{Normalisation, NormalisedTracks, RowBand, any, bands, check_sigma, prepare};
 use crate::{IntegerCentredTracks, MotionError, MotionInterpolator};
 use ffgs_core::{DenseMotion, ImageSize, Mask};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -36,16 +36,15 @@ impl MotionInterpolator for GaussianKnn {
         tracks: &IntegerCentredTracks,
         size: ImageSize,
         region: Option<&Mask>,
-        out: &mut DenseMotion,
-    ) -> Result<(), MotionError> {
-        prepare(size, region, out)?;
+    ) -> Result<DenseMotion, MotionError> {
+        let mut out = prepare(size, region)?;
         check_sigma(self.sigma)?;
         if self.k == 0 {
             return Err(MotionError::NoNeighbours);
         }
         let tracks = NormalisedTracks::new(tracks, size)?;
         if tracks.points.is_empty() {
-            return Ok(());
+            return Ok(out);
         }
         let field = Field {
             tree: tracks.tree()?,
@@ -57,8 +56,8 @@ impl MotionInterpolator for GaussianKnn {
             normalisation: Normalisation::new(size),
             region,
         };
-        bands(out, TILE).into_par_iter().for_each(|mut band| field.fill_band(&mut band));
-        Ok(())
+        bands(&mut out, TILE).into_par_iter().for_each(|mut band| field.fill_band(&mut band));
+        Ok(out)
     }
 }
 
@@ -94,6 +93,9 @@ impl Field<'_> {
         let mut candidates = Vec::new();
         for start in (0..band.width).step_by(TILE * BLOCK) {
             let end = (start + TILE * BLOCK).min(band.width);
+            if !self.is_wanted(band, &(start..end)) {
+                continue;
+            }
             let starts = (start..end).step_by(TILE);
             let columns = starts.map(|first| first..(first + TILE).min(end));
             let tiles: Vec<Tile> =
@@ -109,9 +111,8 @@ impl Field<'_> {
 
     /// Whether any pixel of the band in these columns is.
     fn is_wanted(&self, band: &RowBand, columns: &Range<usize>) -> bool {
-        (0..band.rows()).any(|row| {
-            self.region_row(band, row).is_none_or(|wanted| wanted[columns.clone()].iter().any(|&w| w != 0))
-        })
+        (0..band.rows())
+            .any(|row| self.region_row(band, row).is_none_or(|wanted| any(&wanted[columns.clone()])))
     }
 
     /// The region in a row of the band; `None` = all of it.
@@ -146,13 +147,7 @@ impl Field<'_> {
         for (k, tile) in tiles.iter().enumerate() {
             [x[k], y[k]] = tile.centre;
         }
-        Arch::new().dispatch(KthNearest {
-            x: &x,
-            y: &y,
-            candidates: near,
-            keys: self.keys,
-            k: self.k.get(),
-        })
+        Arch::new().dispatch(KthNearest { x: &x, y: &y, candidates: near, keys: self.keys, k: self.k.get() })
     }
 
     fn fill_tile(&self, band: &mut RowBand, columns: &Range<usize>, candidates: &[Candidate]) {

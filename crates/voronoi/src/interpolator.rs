@@ -89,7 +89,7 @@ impl IntegerCentredTracks {
 /// outside `region` stay unknown; confidence is `exp(-d^2 / 2 sigma^2)` of the distance to the nearest track in
 /// normalised coordinates (Algorithm 2, line 14).
 pub trait MotionInterpolator: Sync {
-    /// Fills `out` (resized to `size`) from tracks in integer-centred pixels.
+    /// The field of `size` of tracks in integer-centred pixels.
     ///
     /// `region` restricts the work to its foreground pixels (`None` = every pixel).
     ///
@@ -100,10 +100,9 @@ pub trait MotionInterpolator: Sync {
         tracks: &IntegerCentredTracks,
         size: ImageSize,
         region: Option<&Mask>,
-        out: &mut DenseMotion,
-    ) -> Result<(), MotionError>;
+    ) -> Result<DenseMotion, MotionError>;
 
-    /// Fills `out` (resized to `size`) from tracks in the project's pixel coordinates (centre + 0.5).
+    /// The field of `size` of tracks in the project's pixel coordinates (centre + 0.5).
     ///
     /// # Errors
     /// As [`MotionInterpolator::densify_integer_centred`].
@@ -112,8 +111,7 @@ pub trait MotionInterpolator: Sync {
         tracks: &TrackSet,
         size: ImageSize,
         region: Option<&Mask>,
-        out: &mut DenseMotion,
-    ) -> Result<(), MotionError> {
-        self.densify_integer_centred(&tracks.into(), size, region, out)
+    ) -> Result<DenseMotion, MotionError> {
+        self.densify_integer_centred(&tracks.into(), size, region)
     }
 }

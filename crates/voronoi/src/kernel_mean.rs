@@ -64,10 +64,11 @@ impl KernelMean<'_> {
             let count = (self.k - pass).min(SLOTS);
             self.add(&keys[..count], &first, &mut sums[..out.len()]);
         }
-        for (lane, out) in out.iter_mut().enumerate() {
-            let [a, b, c, total] = sums[lane];
-            out.values = [a / total, b / total, c / total];
-            out.confidence = exp_negative(first[lane] * self.half_precision);
+        for d2 in &mut first {
+            *d2 = exp_negative(*d2 * self.half_precision);
+        }
+        for ((out, [a, b, c, total]), confidence) in out.iter_mut().zip(sums).zip(first) {
+            *out = Mean { values: [a / total, b / total, c / total], confidence };
         }
     }
 

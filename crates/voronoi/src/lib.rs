@@ -5,13 +5,12 @@
 //! filter, interpolation, visibility. Results do not depend on the number of threads.
 //!
 //! ```
-//! use ffgs_core::{DenseMotion, ImageSize, TrackSet};
+//! use ffgs_core::{ImageSize, TrackSet};
 //! use ffgs_voronoi::{GaussianKnn, MotionInterpolator};
 //!
 //! let tracks = TrackSet { src: vec![[4.5, 3.5]], tgt: vec![[6.5, 3.5]], visibility: vec![1.0] };
 //! let size = ImageSize { width: 16, height: 8 };
-//! let mut motion = DenseMotion::unknown(size);
-//! GaussianKnn::default().densify(&tracks, size, None, &mut motion)?;
+//! let motion = GaussianKnn::default().densify(&tracks, size, None)?;
 //! assert_eq!(motion.flow[0], [2.0, 0.0]);
 //! assert_eq!(motion.confidence[3 * 16 + 4], 1.0);
 //! # Ok::<(), ffgs_voronoi::MotionError>(())

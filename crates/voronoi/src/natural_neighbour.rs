@@ -42,13 +42,12 @@ impl MotionInterpolator for NaturalNeighbour {
         tracks: &IntegerCentredTracks,
         size: ImageSize,
         region: Option<&Mask>,
-        out: &mut DenseMotion,
-    ) -> Result<(), MotionError> {
-        prepare(size, region, out)?;
+    ) -> Result<DenseMotion, MotionError> {
+        let mut out = prepare(size, region)?;
         check_sigma(self.sigma)?;
         let tracks = distinct(&NormalisedTracks::new(tracks, size)?);
         if tracks.points.is_empty() {
-            return Ok(());
+            return Ok(out);
         }
         let sites = tracks.points.iter().enumerate();
         let sites = sites.map(|(track, p)| Site { position: Point2::new(p[0], p[1]), track }).collect();
@@ -60,8 +59,8 @@ impl MotionInterpolator for NaturalNeighbour {
             normalisation: Normalisation::new(size),
             region,
         };
-        bands(out, ROWS).into_par_iter().for_each(|mut band| field.fill_band(&mut band));
-        Ok(())
+        bands(&mut out, ROWS).into_par_iter().for_each(|mut band| field.fill_band(&mut band));
+        Ok(out)
     }
 }
 

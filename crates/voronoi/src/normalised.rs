@@ -41,13 +41,11 @@ impl NormalisedTracks {
     }
 }
 
-/// Clears `out` and checks the size of `region`.
-pub fn prepare(size: ImageSize, region: Option<&Mask>, out: &mut DenseMotion) -> Result<(), MotionError> {
-    // Fresh zeroed memory costs only the pages that the region touches; clearing would touch all.
-    *out = DenseMotion::unknown(size);
+/// An unknown field, if `region` has its size.
+pub fn prepare(size: ImageSize, region: Option<&Mask>) -> Result<DenseMotion, MotionError> {
     match region {
         Some(mask) if mask.size() != size => Err(MotionError::Size { expected: size, found: mask.size() }),
-        _ => Ok(()),
+        _ => Ok(DenseMotion::unknown(size)),
     }
 }
 
@@ -58,6 +56,12 @@ pub fn check_sigma(sigma: f64) -> Result<(), MotionError> {
         return Err(MotionError::Sigma(sigma));
     }
     Ok(())
+}
+
+/// Whether any pixel of a part of a mask is set. Without an early exit, so that whole vectors are looked at.
+#[inline(always)]
+pub fn any(mask: &[u8]) -> bool {
+    mask.iter().fold(0, |all, m| all | m) != 0
 }
 
 /// Rows of a field that one task fills.

@@ -23,8 +23,7 @@ fn random_tracks(n: usize) -> TrackSet {
 }
 
 fn field(interpolator: &dyn MotionInterpolator, tracks: &TrackSet, size: ImageSize) -> DenseMotion {
-    let mut out = DenseMotion::unknown(ImageSize { width: 1, height: 1 });
-    interpolator.densify(tracks, size, None, &mut out).unwrap();
+    let out = interpolator.densify(tracks, size, None).unwrap();
     assert_eq!((out.size, out.flow.len(), out.confidence.len()), (size, size.pixels(), size.pixels()));
     assert!(out.flow.as_flattened().iter().all(|v| v.is_finite()));
     assert!(out.visibility.iter().chain(&out.confidence).all(|v| (0.0..=1.0).contains(v)));
@@ -85,8 +84,7 @@ fn only_the_region_is_computed(interpolator: &dyn MotionInterpolator) {
     let tracks = random_tracks(40);
     let all = field(interpolator, &tracks, SIZE);
     let region = Mask::new(SIZE, (0..SIZE.pixels()).map(|i| u8::from(i % 7 == 3)).collect()).unwrap();
-    let mut some = DenseMotion::unknown(SIZE);
-    interpolator.densify(&tracks, SIZE, Some(&region), &mut some).unwrap();
+    let some = interpolator.densify(&tracks, SIZE, Some(&region)).unwrap();
     for i in 0..SIZE.pixels() {
         let expected = if region.data()[i] == 1 { (all.flow[i], all.confidence[i]) } else { ([0.0; 2], 0.0) };
         assert_eq!((some.flow[i], some.confidence[i]), expected);
@@ -94,15 +92,14 @@ fn only_the_region_is_computed(interpolator: &dyn MotionInterpolator) {
 }
 
 fn bad_batches_are_errors(interpolator: &dyn MotionInterpolator) {
-    let mut out = DenseMotion::unknown(SIZE);
     let mut tracks = random_tracks(5);
     tracks.src[3][1] = f32::NAN;
-    let error = interpolator.densify(&tracks, SIZE, None, &mut out).unwrap_err();
+    let error = interpolator.densify(&tracks, SIZE, None).unwrap_err();
     assert_eq!(error, MotionError::NotFinite { index: 3 });
     tracks.tgt.pop();
-    assert!(matches!(interpolator.densify(&tracks, SIZE, None, &mut out), Err(MotionError::Columns { .. })));
+    assert!(matches!(interpolator.densify(&tracks, SIZE, None), Err(MotionError::Columns { .. })));
     let other = Mask::filled(ImageSize { width: 2, height: 2 }, true);
-    let error = interpolator.densify(&random_tracks(5), SIZE, Some(&other), &mut out).unwrap_err();
+    let error = interpolator.densify(&random_tracks(5), SIZE, Some(&other)).unwrap_err();
     assert!(matches!(error, MotionError::Size { .. }));
 }
 
@@ -145,13 +142,12 @@ fn the_source_filter_keeps_background_out() {
     };
     for method in [Method::GaussianKnn, Method::NaturalNeighbour] {
         let config = VoronoiConfig { method, use_visibility: true, ..VoronoiConfig::default() };
-        let mut out = DenseMotion::unknown(SIZE);
-        densify_view(&config, &tracks, &mask, &mut out).unwrap();
+        let out = densify_view(&config, &tracks, &mask).unwrap();
         let pixel = 5 * SIZE.width;
         assert_eq!((out.flow[pixel + 9], out.confidence[pixel + 20]), ([6.0, 0.0], 0.0));
         assert_eq!(out.confidence[pixel + 2], 0.5);
         let literal = VoronoiConfig { source_filter: SourceFilter::All, ..config };
-        densify_view(&literal, &tracks, &mask, &mut out).unwrap();
+        let out = densify_view(&literal, &tracks, &mask).unwrap();
         assert!(out.flow[pixel + 9][0] < 5.0);
     }
 }

@@ -35,8 +35,7 @@ fn gaussian_knn_matches_algorithm_2() {
         let size = array(&case, "size");
         let size = ImageSize { width: size[1] as usize, height: size[0] as usize };
         let knn = GaussianKnn { k: array(&case, "k")[0] as usize, sigma: array(&case, "sigma")[0] };
-        let mut out = DenseMotion::unknown(size);
-        knn.densify_integer_centred(&tracks, size, None, &mut out).unwrap();
+        let out = knn.densify_integer_centred(&tracks, size, None).unwrap();
         let flow = largest_difference(out.flow.as_flattened(), &array(&case, "expected_flow"));
         let visibility = largest_difference(&out.visibility, &array(&case, "expected_visibility"));
         let confidence = largest_difference(&out.confidence, &array(&case, "expected_confidence"));

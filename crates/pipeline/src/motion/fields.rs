@@ -62,14 +62,11 @@ pub(super) fn densify_tracks(
     motions: Vec<Option<ViewMotion>>,
 ) -> Result<Vec<DenseMotion>> {
     let field = |motion: Option<ViewMotion>| {
-        let mut field = match motion {
-            Some(ViewMotion::Dense(dense)) => return Ok(dense),
-            _ => DenseMotion::unknown(mask.size()),
-        };
-        if let Some(ViewMotion::Tracks(set)) = motion {
-            densify_view(&input.config.voronoi, &set, mask, &mut field)?;
-        }
-        Ok(field)
+        Ok(match motion {
+            Some(ViewMotion::Dense(dense)) => dense,
+            Some(ViewMotion::Tracks(set)) => densify_view(&input.config.voronoi, &set, mask)?,
+            None => DenseMotion::unknown(mask.size()),
+        })
     };
     motions.into_par_iter().map(field).collect()
 }

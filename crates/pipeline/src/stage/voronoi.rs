@@ -16,8 +16,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     if tracks.src.is_empty() {
         tracing::warn!("no tracks: the motion is unknown everywhere (confidence 0)");
     }
-    let mut out = DenseMotion::unknown(size);
-    GaussianKnn { k, sigma }.densify_integer_centred(&tracks, size, None, &mut out)?;
+    let out = GaussianKnn { k, sigma }.densify_integer_centred(&tracks, size, None)?;
     let (h, w) = (size.height, size.width);
     let mut results = NpzWriter::new();
     results.f32("flow", &[h, w, 2], out.flow.as_flattened());
