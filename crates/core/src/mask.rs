@@ -43,15 +43,18 @@ impl Mask {
     #[must_use]
     pub fn dilated(&self, radius: usize) -> Self {
         let ImageSize { width, height } = self.size;
-        let mut rows = vec![0; self.data.len()];
-        for (out, row) in rows.chunks_exact_mut(width).zip(self.data.chunks_exact(width)) {
-            spread(width, radius, |x| row[x] != 0, |x| out[x] = 1);
-        }
         let mut data = vec![0; self.data.len()];
-        // Whole rows at a time: down the columns every byte would be another cache line.
-        for (y, out) in data.chunks_exact_mut(width).enumerate() {
-            for near in y.saturating_sub(radius)..(y + radius + 1).min(height) {
-                out.iter_mut().zip(&rows[near * width..(near + 1) * width]).for_each(|(o, &v)| *o |= v);
+        let mut wide = vec![0; width];
+        for (y, row) in self.data.chunks_exact(width).enumerate() {
+            if row.iter().fold(0, |any, v| any | v) == 0 {
+                continue;
+            }
+            wide.fill(0);
+            spread(width, radius, |x| row[x] != 0, |x| wide[x] = 1);
+            // Whole rows at a time: down the columns every byte would be another cache line.
+            let near = y.saturating_sub(radius) * width..(y + radius + 1).min(height) * width;
+            for out in data[near].chunks_exact_mut(width) {
+                out.iter_mut().zip(&wide).for_each(|(o, &v)| *o |= v);
             }
         }
         Self { size: self.size, data }

@@ -41,6 +41,7 @@ mod process_noise;
 mod rigid;
 mod structure;
 mod validation;
+mod view_counts;
 
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
@@ -48,4 +49,5 @@ pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covari
 pub use groups::{Group, GroupsConfig, spatial_objects};
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use rigid::{RigidMotion, fit_rigid};
-pub use validation::{ViewCounts, count_views, dynamic_split, second_chance, validate};
+pub use validation::{dynamic_split, second_chance, validate};
+pub use view_counts::{ViewCounts, count_views};

@@ -1,46 +1,10 @@
 use crate::config::FusionError;
 use crate::process_noise::median;
+use crate::view_counts::{ViewCounts, count_views};
 use ffgs_core::{Camera, Mask};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use rayon::prelude::*;
 use std::num::NonZero;
-
-/// In how many views a point falls in the image, and of those in the mask.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ViewCounts {
-    /// Views with the point in the mask.
-    pub inside: u32,
-    /// Views with the point in front of the camera and in the image.
-    pub seen: u32,
-}
-
-/// Counts for every mean (m) over the V cameras and masks of one time.
-///
-/// # Errors
-/// [`FusionError::Masks`] when their numbers or sizes differ.
-pub fn count_views(
-    means: &[DVec3],
-    cameras: &[Camera],
-    masks: &[Mask],
-) -> Result<Vec<ViewCounts>, FusionError> {
-    let views: Vec<(&Camera, &Mask)> = cameras.iter().zip(masks).collect();
-    if cameras.len() != masks.len() || views.iter().any(|(c, m)| c.size() != m.size()) {
-        return Err(FusionError::Masks { cameras: cameras.len(), masks: masks.len() });
-    }
-    Ok(means.par_iter().map(|&mean| count(mean, &views)).collect())
-}
-
-fn count(mean: DVec3, views: &[(&Camera, &Mask)]) -> ViewCounts {
-    let mut counts = ViewCounts::default();
-    for (camera, mask) in views {
-        if let Some((column, row)) = camera.pixel_of(mean) {
-            counts.seen += 1;
-            counts.inside += u32::from(mask.contains(column, row));
-        }
-    }
-    counts
-}
 
 /// Whether a Gaussian lies in the masks of at least `seen - slack` views, and of one at least (Algorithm 1, lines 35
 /// to 40, with V the views that see it: of hundreds of cameras only some see a car).
