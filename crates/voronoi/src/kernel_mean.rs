@@ -49,48 +49,54 @@ impl KernelMean<'_> {
     /// The pixels of one vector.
     #[inline(always)]
     fn vector<S: Simd>(&self, simd: S, place: [S::f64s; 2], out: &mut [Mean]) {
-        let (mut sums, mut first) = ([[0.0; 4]; LANES], [0.0; LANES]);
-        let mut after = simd.splat_f64s(-1.0);
+        let mut sums = [[0.0; 4]; LANES];
+        let (mut first, mut after) = (simd.splat_f64s(0.0), simd.splat_f64s(-1.0));
+        let mut confidence = [0.0; LANES];
         for pass in (0..self.k).step_by(SLOTS) {
             let slots = self.keys.nearest(simd, place, self.candidates, after);
             after = slots[SLOTS - 1];
-            let mut keys = [[0.0; LANES]; SLOTS];
-            for (key, slot) in keys.iter_mut().zip(slots) {
-                S::as_mut_simd_f64s(key).0[0] = slot;
-            }
             if pass == 0 {
-                first = keys[0].map(|key| self.keys.squared_distance(key));
+                first = self.keys.squared_distances(simd, slots[0]);
             }
+            let (mut keys, mut weights) = ([[0.0; LANES]; SLOTS], [[0.0; LANES]; SLOTS + 1]);
+            for slot in 0..SLOTS {
+                let d2 = self.keys.squared_distances(simd, slots[slot]);
+                put::<S>(&mut keys[slot], slots[slot]);
+                put::<S>(&mut weights[slot], simd.sub_f64s(d2, first));
+            }
+            put::<S>(&mut weights[SLOTS], first);
+            // One long loop over all, or the compiler would turn it inside out.
+            for weight in weights.as_flattened_mut() {
+                *weight = exp_negative(*weight * self.half_precision);
+            }
+            confidence = weights[SLOTS];
             let count = (self.k - pass).min(SLOTS);
-            self.add(&keys[..count], &first, &mut sums[..out.len()]);
+            for (lane, sum) in sums[..out.len()].iter_mut().enumerate() {
+                *sum = self.add(*sum, lane, &keys[..count], &weights[..count]);
+            }
         }
-        for d2 in &mut first {
-            *d2 = exp_negative(*d2 * self.half_precision);
-        }
-        for ((out, [a, b, c, total]), confidence) in out.iter_mut().zip(sums).zip(first) {
+        for ((out, [a, b, c, total]), confidence) in out.iter_mut().zip(sums).zip(confidence) {
             *out = Mean { values: [a / total, b / total, c / total], confidence };
         }
     }
 
-    /// Adds weighted neighbours to the sums of each lane.
+    /// Adds the weighted values of a lane's neighbours.
     #[inline(always)]
-    fn add(&self, keys: &[[f64; LANES]], first: &[f64; LANES], sums: &mut [Values]) {
-        let mut weights = [[0.0; LANES]; SLOTS];
-        for (weights, keys) in weights.iter_mut().zip(keys) {
-            for lane in 0..LANES {
-                let d2 = self.keys.squared_distance(keys[lane]) - first[lane];
-                weights[lane] = exp_negative(d2 * self.half_precision);
+    fn add(&self, mut sum: Values, lane: usize, keys: &[[f64; LANES]], weights: &[[f64; LANES]]) -> Values {
+        for (keys, weights) in keys.iter().zip(weights) {
+            let values = &self.values[self.keys.track(keys[lane])];
+            for v in 0..4 {
+                sum[v] += weights[lane] * values[v];
             }
         }
-        for (lane, sum) in sums.iter_mut().enumerate() {
-            for (keys, weights) in keys.iter().zip(&weights) {
-                let values = &self.values[self.keys.track(keys[lane])];
-                for v in 0..4 {
-                    sum[v] += weights[lane] * values[v];
-                }
-            }
-        }
+        sum
     }
+}
+
+/// One vector at the front of a row.
+#[inline(always)]
+fn put<S: Simd>(row: &mut [f64; LANES], vector: S::f64s) {
+    S::as_mut_simd_f64s(row).0[0] = vector;
 }
 
 #[cfg(test)]

@@ -30,8 +30,8 @@ impl Keys {
     }
 
     #[inline(always)]
-    pub fn squared_distance(self, key: f64) -> f64 {
-        f64::from_bits(key.to_bits() & !self.track)
+    pub fn squared_distances<S: Simd>(self, simd: S, keys: S::f64s) -> S::f64s {
+        simd.and_f64s(keys, simd.splat_f64s(f64::from_bits(!self.track)))
     }
 
     #[inline(always)]
@@ -50,14 +50,13 @@ impl Keys {
         after: S::f64s,
     ) -> [S::f64s; SLOTS] {
         let far = simd.splat_f64s(f64::INFINITY);
-        let distance = simd.splat_f64s(f64::from_bits(!self.track));
         let mut slots = [far; SLOTS];
         for candidate in candidates {
             let [px, py] = candidate.point.map(|p| simd.splat_f64s(p));
             let (dx, dy) = (simd.sub_f64s(x, px), simd.sub_f64s(y, py));
             let d2 = simd.add_f64s(simd.mul_f64s(dx, dx), simd.mul_f64s(dy, dy));
             let track = simd.splat_f64s(f64::from_bits(candidate.track.into()));
-            let key = simd.or_f64s(simd.and_f64s(d2, distance), track);
+            let key = simd.or_f64s(self.squared_distances(simd, d2), track);
             let mut key = simd.select_f64s(simd.less_than_f64s(after, key), key, far);
             for slot in &mut slots {
                 let low = simd.min_f64s(key, *slot);
@@ -91,9 +90,7 @@ impl WithSimd for KthNearest<'_> {
             for pass in (0..k).step_by(SLOTS) {
                 *kth = keys.nearest(simd, [x, y], candidates, *kth)[(k - pass).min(SLOTS) - 1];
             }
-        }
-        for kth in &mut out {
-            *kth = keys.squared_distance(*kth);
+            *kth = keys.squared_distances(simd, *kth);
         }
         out
     }
