@@ -93,7 +93,7 @@ impl Part {
                 |axis: usize| r.x_axis[axis] * x[k] + r.y_axis[axis] * y[k] + r.z_axis[axis] * z[k] + t[axis];
             let depth = along(2);
             let (column, row) = (fx * along(0) / depth + cx, fy * along(1) / depth + cy);
-            let inside = (column >= 0.0) & (row >= 0.0) & (column < width) & (row < height) & (depth > 0.0);
+            let inside = column >= 0.0 && row >= 0.0 && column < width && row < height && depth > 0.0;
             let pixel = row.trunc() * width + column.trunc();
             shown[k] = u32::from(inside);
             pixels[k] = if inside { pixel } else { 0.0 } as u32;

@@ -3,7 +3,6 @@
 use super::input::{ANY, Input};
 use anyhow::{Result, ensure};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::DenseMotion;
 use ffgs_voronoi::{GaussianKnn, IntegerCentredTracks, MotionInterpolator};
 
 pub(super) fn run(input: &Input) -> Result<NpzWriter> {
