@@ -107,6 +107,7 @@ fn bad_batches_are_errors(interpolator: &dyn MotionInterpolator) {
 fn gaussian_knn_conforms() {
     conforms(&GaussianKnn::default());
     conforms(&GaussianKnn { k: 1, sigma: 0.01 });
+    conforms(&GaussianKnn { k: 20, sigma: 0.05 });
 }
 
 #[test]
@@ -169,4 +170,22 @@ fn an_unknown_tracker_does_not_disagree() {
     let mut still = [known([0.0, 0.0], 1.0), known([0.0, 0.0], 1.0)];
     agreement(&mut still, None, &literal).unwrap();
     assert_eq!(still[0].confidence[0], 1.0);
+}
+
+#[test]
+fn agreement_stays_in_the_region_and_ignores_flows_of_confidence_zero() {
+    let known = |flow: [f32; 2], confidence: f32| {
+        let mut out = DenseMotion::unknown(SIZE);
+        out.flow.fill(flow);
+        out.confidence.fill(confidence);
+        out
+    };
+    let region = Mask::new(SIZE, (0..SIZE.pixels()).map(|i| u8::from(i % 7 == 3)).collect()).unwrap();
+    let mut flows = [known([4.0, 0.0], 1.0), known([0.0, 4.0], 1.0), known([f32::NAN, 0.0], 0.0)];
+    agreement(&mut flows, Some(&region), &AgreementConfig::default()).unwrap();
+    for (i, inside) in region.data().iter().enumerate() {
+        let expected = if *inside == 1 { (-2_f32.sqrt()).exp() } else { 1.0 };
+        assert!((flows[0].confidence[i] - expected).abs() < 1e-6);
+        assert_eq!((flows[1].confidence[i], flows[2].confidence[i]), (flows[0].confidence[i], 0.0));
+    }
 }
