@@ -35,12 +35,16 @@ mod densify;
 mod evidence;
 mod fuse;
 mod groups;
+mod members;
 mod motion_fit;
 mod neighbourhoods;
+mod normal;
 mod process_noise;
 mod rigid;
 mod structure;
+mod symmetric;
 mod validation;
+mod votes;
 
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
