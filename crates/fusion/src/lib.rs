@@ -31,6 +31,7 @@
 
 mod cells;
 mod config;
+mod correlation;
 mod densify;
 mod evidence;
 mod fuse;

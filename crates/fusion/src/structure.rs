@@ -1,6 +1,7 @@
 //! Where every Gaussian's surroundings say that it goes: the prior of the fusion, beyond the paper.
 
 use crate::config::{FusionConfig, FusionError, Structure};
+use crate::correlation::correlation;
 use crate::evidence::{Combined, Evidence, Told};
 use crate::fuse::FusionInput;
 use crate::groups::{Groups, discover};
@@ -22,7 +23,7 @@ pub struct Prior {
     /// Rotation of what it belongs to.
     pub rotation: DQuat,
     /// Row of [`Structured::scales`].
-    scales: usize,
+    pub scales: usize,
     /// Variance per axis by which parts of its group deviate from the group's motion (m^2).
     spread: f64,
     /// Whether it follows its own neighbourhood rather than a group.
@@ -225,71 +226,4 @@ fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Depar
     let offset = DVec3::new(axis(0), axis(1), axis(2));
     let squares: f64 = siding.iter().map(|o| o.distance_squared(offset)).sum();
     Some(Departure { offset, variance: squares / (3 * siding.len()) as f64 })
-}
-
-/// Largest normalised error that counts; outliers say nothing of the correlation.
-const CLIP: f64 = 3.0;
-
-/// Gaussians that one thread adds up.
-const CHUNK: usize = 4096;
-
-/// Mean product of two trackers' normalised errors about the priors.
-fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
-    let of_chunk = |(chunk, priors): (usize, &[Option<Prior>])| {
-        let mut sums = Products::default();
-        let mut errors = Vec::new();
-        for (k, prior) in priors.iter().enumerate() {
-            let Some(prior) = prior else { continue };
-            let error = |(l, told): (usize, &Told)| {
-                let variance = 3.0 * scales[prior.scales][l] / told.information.trace();
-                ((told.mean - prior.mean) * variance.sqrt().recip()).clamp_length_max(CLIP)
-            };
-            errors.clear();
-            errors.extend(evidence.of(chunk * CHUNK + k).map(error));
-            sums.add(&errors);
-        }
-        sums
-    };
-    let chunks: Vec<Products> = priors.par_chunks(CHUNK).enumerate().map(of_chunk).collect();
-    chunks.into_iter().fold(Products::default(), Products::merged).correlation()
-}
-
-/// Sums over the errors of Gaussians.
-#[derive(Clone, Copy, Default)]
-struct Products {
-    squares: f64,
-    count: f64,
-    /// Of two trackers' errors.
-    products: f64,
-    pairs: f64,
-}
-
-impl Products {
-    /// The errors of one Gaussian's trackers.
-    fn add(&mut self, errors: &[DVec3]) {
-        for (a, left) in errors.iter().enumerate() {
-            self.squares += left.length_squared();
-            self.count += 1.0;
-            self.products += errors[..a].iter().map(|right| left.dot(*right)).sum::<f64>();
-            self.pairs += a as f64;
-        }
-    }
-
-    fn merged(self, other: Self) -> Self {
-        Self {
-            squares: self.squares + other.squares,
-            count: self.count + other.count,
-            products: self.products + other.products,
-            pairs: self.pairs + other.pairs,
-        }
-    }
-
-    fn correlation(self) -> f64 {
-        let Self { squares, count, products, pairs } = self;
-        if pairs > 0.0 && squares > 0.0 {
-            (products / pairs / (squares / count)).clamp(0.0, 0.95)
-        } else {
-            0.0
-        }
-    }
 }
