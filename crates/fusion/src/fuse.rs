@@ -66,9 +66,12 @@ impl MotionFuser for InformationFuser {
     fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
         check(input)?;
         let predicted = predict(input, &self.config)?;
-        let q = median_displacement(&predicted, input.estimates).unwrap_or(input.last_q).max(input.q_floor_m);
+        let (q, evidence) = rayon::join(
+            || median_displacement(&predicted, input.estimates),
+            || Evidence::new(input.estimates),
+        );
+        let q = q.unwrap_or(input.last_q).max(input.q_floor_m);
         let q_of = process_noise(input, &predicted, &self.config, q)?;
-        let evidence = Evidence::new(input.estimates);
         let structure = match self.config.structure {
             Structure::None => None,
             _ => structured(input, &evidence, &self.config)?,

@@ -178,6 +178,8 @@ struct Search<'a> {
     evidence: &'a Evidence,
     config: &'a GroupsConfig,
     cells: &'a Cells,
+    /// (N) whether any tracker measured it.
+    measured: Vec<bool>,
     /// One a cell; `None` where too little was measured.
     voters: Vec<Option<Voter>>,
     proposals: Vec<RigidMotion>,
@@ -219,8 +221,9 @@ impl<'a> Search<'a> {
         config: &'a GroupsConfig,
         cells: &'a Cells,
     ) -> Self {
+        let measured: Vec<bool> = (0..previous.len()).into_par_iter().map(|i| evidence.measured(i)).collect();
         let fit = |members: &[usize], most: usize| {
-            let members = measured_sample(evidence, members, most);
+            let members = measured_sample(&measured, members.iter().copied(), most);
             fit_from_median(evidence, previous, &members)
         };
         let voter = |range: &std::ops::Range<usize>| {
@@ -256,6 +259,7 @@ impl<'a> Search<'a> {
             evidence,
             config,
             cells,
+            measured,
             voters,
             proposals,
             adjacent: adjacency(&boxes, config.reach),
@@ -295,9 +299,8 @@ impl<'a> Search<'a> {
     }
 
     fn members(&self, cells: &[usize]) -> Vec<usize> {
-        let all: Vec<usize> =
-            (cells.iter()).flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied()).collect();
-        measured_sample(self.evidence, &all, self.config.sample)
+        let all = cells.iter().flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied());
+        measured_sample(&self.measured, all, self.config.sample)
     }
 
     fn refit(&self, cells: &[usize], start: RigidMotion) -> Option<MotionFit> {
@@ -414,10 +417,14 @@ const DISSENT: f64 = 10.0;
 const MEDIAN_LENGTH: f64 = 1.538;
 
 /// The measured ones of `members`, thinned evenly to at most `most`, in the same order.
-fn measured_sample(evidence: &Evidence, members: &[usize], most: usize) -> Vec<usize> {
-    let measured: Vec<usize> = members.iter().copied().filter(|&i| evidence.measured(i)).collect();
-    let stride = measured.len().div_ceil(most.max(1)).max(1);
-    measured.into_iter().step_by(stride).collect()
+fn measured_sample(
+    measured: &[bool],
+    members: impl Iterator<Item = usize> + Clone,
+    most: usize,
+) -> Vec<usize> {
+    let count = members.clone().filter(|&i| measured[i]).count();
+    let stride = count.div_ceil(most.max(1)).max(1);
+    members.filter(|&i| measured[i]).step_by(stride).collect()
 }
 
 /// Fits from the componentwise median of all trackers' displacements.
@@ -435,8 +442,11 @@ fn fit_from_median(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -
 fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
     let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
     let limit = reach * median(&mut diagonals).unwrap_or(0.0);
-    let gap = |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length();
-    let near =
-        |a: usize| (0..boxes.len()).filter(|&b| b != a && gap(&boxes[a], &boxes[b]) <= limit).collect();
+    let gap2 =
+        |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length_squared();
+    let near = |a: usize| {
+        let near = |b: &usize| *b != a && gap2(&boxes[a], &boxes[*b]) <= limit * limit;
+        (0..boxes.len()).filter(near).collect()
+    };
     (0..boxes.len()).into_par_iter().map(near).collect()
 }
