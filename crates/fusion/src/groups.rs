@@ -155,7 +155,7 @@ pub struct Voter {
     /// Its Gaussians.
     pub weight: f64,
     /// Per tracker: factor on its covariances within the cell.
-    scales: Vec<f64>,
+    pub scales: Vec<f64>,
 }
 
 impl Voter {
@@ -167,7 +167,8 @@ impl Voter {
         self.information = self.information * factor.recip();
     }
 
-    fn distance(&self, motion: &RigidMotion) -> f64 {
+    /// Squared Mahalanobis distance of a motion from the cell's own.
+    pub fn distance(&self, motion: &RigidMotion) -> f64 {
         let e = motion.apply(self.centre) - self.place;
         self.information.quadratic(e)
     }

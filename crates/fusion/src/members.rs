@@ -241,3 +241,82 @@ fn add_terms(arms: &[Lanes; 3], weighted: &[Lanes; 9], sums: &mut [Lanes; TERMS]
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion_fit::fit_motion;
+    use ffgs_core::{EstimateStatus, Estimates};
+    use glam::DQuat;
+    use nalgebra::{Matrix3x6, Vector3};
+
+    /// 13 places, so that the second block is not full.
+    fn places() -> Vec<DVec3> {
+        (0..13).map(|i| DVec3::new(f64::from(i % 3), f64::from(i * i % 5), 0.3 * f64::from(i % 4))).collect()
+    }
+
+    /// Of places moved by `motion` and `off` (m); the tracker misses every fifth.
+    fn tracker(motion: &RigidMotion, off: f64) -> Estimates {
+        let covariance = DMat3::from_cols_array(&[4e-4, 1e-4, 0.0, 1e-4, 3e-4, 5e-5, 0.0, 5e-5, 2e-4]);
+        let mut out = Estimates::default();
+        for (i, place) in places().into_iter().enumerate() {
+            let error = DVec3::new((i as f64).sin(), (1.7 * i as f64).cos(), (2.3 * i as f64).sin()) * off;
+            out.means.push(motion.apply(place) + error);
+            out.covariances.push(covariance * (1.0 + off));
+            out.status.push(if i % 5 == 4 { EstimateStatus::Residual } else { EstimateStatus::Ok });
+        }
+        out
+    }
+
+    fn motion() -> RigidMotion {
+        let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 0.1, -0.05, 0.2);
+        RigidMotion { centre: DVec3::new(1.0, 2.0, 0.4), rotation, step: DVec3::new(0.7, -0.2, 0.1) }
+    }
+
+    /// The normal equations are the sum of `J^T W J` and `J^T W r` of single estimates.
+    #[test]
+    fn normal_equations_are_those_of_single_estimates() {
+        let estimates = [tracker(&motion(), 0.02), tracker(&motion(), 0.05)];
+        let (evidence, previous, scales) = (Evidence::new(&estimates), places(), [1.5, 0.8]);
+        let members = Members::new(&evidence, &previous, &(0..13).collect::<Vec<_>>());
+        let about = RigidMotion { centre: members.centre, ..motion() };
+        let found = members.residuals(&about).normal(&scales);
+        let mut expected = Normal::zero();
+        for (i, &place) in previous.iter().enumerate() {
+            let arm = about.rotation * (place - about.centre);
+            for (l, told) in evidence.of(i) {
+                let r = told.mean - about.apply(place);
+                let d = told.information.quadratic(r) / scales[l];
+                let w = DMat3::from(told.information) * (robust_weight(d) / scales[l]);
+                let mut j = Matrix3x6::<f64>::identity();
+                for k in 0..3 {
+                    let turned = DVec3::AXES[k].cross(arm).to_array();
+                    j.set_column(3 + k, &Vector3::from(turned));
+                }
+                let w = nalgebra::Matrix3::from_column_slice(&w.to_cols_array());
+                expected.a += j.transpose() * w * j;
+                expected.b += j.transpose() * w * Vector3::from(r.to_array());
+            }
+        }
+        assert!((found.a - expected.a).amax() < 1e-11 * expected.a.amax());
+        assert!((found.b - expected.b).amax() < 1e-11 * expected.b.amax());
+    }
+
+    #[test]
+    fn an_exact_motion_is_found_and_missing_estimates_do_not_count() {
+        let mut estimates = [tracker(&motion(), 0.0), tracker(&motion(), 0.0)];
+        // Not usable, so that its place must not matter.
+        estimates.iter_mut().for_each(|e| e.means[4] += DVec3::splat(100.0));
+        let (evidence, previous) = (Evidence::new(&estimates), places());
+        let members = Members::new(&evidence, &previous, &(0..13).collect::<Vec<_>>());
+        assert_eq!(members.steps(0).len(), 2 * 11);
+        let start = RigidMotion { centre: DVec3::ZERO, rotation: DQuat::IDENTITY, step: DVec3::ZERO };
+        let fit = fit_motion(&members, start).unwrap();
+        let error = |&p: &DVec3| (fit.motion.apply(p) - motion().apply(p)).length();
+        assert!(
+            previous.iter().all(|p| error(p) < 1e-6),
+            "{:?}",
+            previous.iter().map(error).collect::<Vec<_>>()
+        );
+    }
+}

@@ -85,3 +85,32 @@ fn add(motion: &Sum, block: &Block, sums: &mut [f64; LANES]) {
         sums[k] += weight[k] * (1.0 - distance * motion.scale).max(0.0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::symmetric::Symmetric;
+    use glam::DQuat;
+
+    #[test]
+    fn what_is_explained_is_the_sum_over_single_cells() {
+        let voters: Vec<Voter> = (0..11_i32)
+            .map(|i| {
+                let x = f64::from(i);
+                let centre = DVec3::new(5e5 + x, 3.0 - x, x.sin());
+                let place = centre + DVec3::new(0.1 * x.cos(), 0.5, -0.02 * x);
+                let information = Symmetric { xy: 3.0, yz: -2.0, ..Symmetric::scalar(40.0 + x) };
+                Voter { centre, place, information, weight: 60.0 + x, scales: Vec::new() }
+            })
+            .collect();
+        let centre = DVec3::new(5e5, 0.0, 0.0);
+        let motion = RigidMotion { centre, rotation: DQuat::from_rotation_z(0.01), step: DVec3::Y * 0.5 };
+        let limit = 2.0;
+        let gain = |v: &Voter| v.weight * (1.0 - v.distance(&motion) / limit).max(0.0);
+        let expected: f64 = voters.iter().map(gain).sum();
+        let nothing = voters.iter().filter(|v| gain(v) == 0.0).count();
+        assert!((1..8).contains(&nothing), "some cells agree, some do not: {nothing}");
+        assert!((Votes::new(voters.iter()).explained(&motion, limit) - expected).abs() < 1e-6);
+        assert_eq!(Votes::new([].iter()).explained(&motion, limit), 0.0);
+    }
+}
