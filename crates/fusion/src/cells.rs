@@ -36,7 +36,7 @@ const PARALLEL: usize = 4096;
 
 /// Orders `members`, at least one, which begin at `start`, and lists their nodes.
 fn split(points: &[DVec3], members: &mut [usize], start: usize, size: usize) -> Vec<Range<usize>> {
-    let mut nodes = vec![start..start + members.len()];
+    let mut nodes: Vec<Range<usize>> = std::iter::once(start..start + members.len()).collect();
     if members.len() <= size {
         return nodes;
     }
