@@ -18,40 +18,51 @@ impl Cells {
     /// Halves the cloud along its longest extent, at a gap if there is one, until no leaf holds more than `size` points.
     pub fn new(points: &[DVec3], size: usize) -> Self {
         let mut cells = Self { order: (0..points.len()).collect(), leaves: Vec::new(), nodes: Vec::new() };
-        cells.split(points, 0..points.len(), size.max(1));
+        if !points.is_empty() {
+            cells.nodes = split(points, &mut cells.order, 0, size.max(1));
+            cells.leaves = cells.nodes.iter().filter(|n| n.len() <= size.max(1)).cloned().collect();
+        }
         cells
-    }
-
-    fn split(&mut self, points: &[DVec3], range: Range<usize>, size: usize) {
-        if range.is_empty() {
-            return;
-        }
-        self.nodes.push(range.clone());
-        if range.len() <= size {
-            self.leaves.push(range);
-            return;
-        }
-        let members = &mut self.order[range.clone()];
-        let (low, high) = bounds(members.iter().map(|&i| points[i]));
-        let extent = high - low;
-        let axis = if extent.x >= extent.y && extent.x >= extent.z {
-            0
-        } else {
-            usize::from(extent.z > extent.y) + 1
-        };
-        let by_axis = |a: &usize, b: &usize| points[*a][axis].total_cmp(&points[*b][axis]).then(a.cmp(b));
-        let below = |limit: f64| members.iter().filter(|&&i| points[i][axis] < limit).count();
-        let half = gap(members.iter().map(|&i| points[i][axis]), low[axis], high[axis]).map(below);
-        let half = half.filter(|h| (1..range.len()).contains(h)).unwrap_or(range.len() / 2);
-        members.select_nth_unstable_by(half, by_axis);
-        self.split(points, range.start..range.start + half, size);
-        self.split(points, range.start + half..range.end, size);
     }
 
     /// Members of a range.
     pub fn members(&self, range: &Range<usize>) -> &[usize] {
         &self.order[range.clone()]
     }
+}
+
+/// From this many points on, halves are worth two threads.
+const PARALLEL: usize = 4096;
+
+/// Orders `members`, at least one, which begin at `start`, and lists their nodes.
+fn split(points: &[DVec3], members: &mut [usize], start: usize, size: usize) -> Vec<Range<usize>> {
+    let mut nodes: Vec<Range<usize>> = std::iter::once(start..start + members.len()).collect();
+    if members.len() <= size {
+        return nodes;
+    }
+    let half = halve(points, members);
+    let (low, high) = members.split_at_mut(half);
+    let parallel = low.len() + high.len() >= PARALLEL;
+    let mut low = || split(points, low, start, size);
+    let mut high = || split(points, high, start + half, size);
+    let (low, high) = if parallel { rayon::join(low, high) } else { (low(), high()) };
+    nodes.extend(low);
+    nodes.extend(high);
+    nodes
+}
+
+/// Orders two points or more by the half they are in; the number in the lower one.
+fn halve(points: &[DVec3], members: &mut [usize]) -> usize {
+    let (low, high) = bounds(members.iter().map(|&i| points[i]));
+    let extent = high - low;
+    let axis =
+        if extent.x >= extent.y && extent.x >= extent.z { 0 } else { usize::from(extent.z > extent.y) + 1 };
+    let by_axis = |a: &usize, b: &usize| points[*a][axis].total_cmp(&points[*b][axis]).then(a.cmp(b));
+    let below = |limit: f64| members.iter().filter(|&&i| points[i][axis] < limit).count();
+    let half = gap(members.iter().map(|&i| points[i][axis]), low[axis], high[axis]).map(below);
+    let half = half.filter(|h| (1..members.len()).contains(h)).unwrap_or(members.len() / 2);
+    members.select_nth_unstable_by(half, by_axis);
+    half
 }
 
 /// Bins that an extent is cut into to look for a gap.

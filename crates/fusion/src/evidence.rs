@@ -1,8 +1,8 @@
 //! What the trackers say, in information form, and how far they are from a motion.
 
-use crate::fuse::symmetric_inverse;
+use crate::symmetric::Symmetric;
 use ffgs_core::{EstimateStatus, Estimates};
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Median of a chi-squared variable with three degrees of freedom.
@@ -12,60 +12,92 @@ const TAIL: f64 = 12.0;
 /// Least factor on a tracker's covariances; keeps weights finite where estimates agree exactly.
 pub const MIN_SCALE: f64 = 1e-2;
 
-/// Estimates of L trackers for N Gaussians.
-pub struct Evidence<'a> {
-    /// The trackers' estimates.
-    pub estimates: &'a [Estimates],
-    /// (L, N) inverse covariances (1/m^2); zero where there is no usable estimate.
-    information: Vec<Vec<DMat3>>,
+/// One tracker's estimate of one Gaussian.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Told {
+    /// Place at t (m).
+    pub mean: DVec3,
+    /// Inverse covariance (1/m^2); zero where there is no usable estimate.
+    pub information: Symmetric,
 }
 
-impl<'a> Evidence<'a> {
-    pub fn new(estimates: &'a [Estimates]) -> Self {
-        let one = |e: &Estimates, i: usize| {
-            let inverse = symmetric_inverse(e.covariances[i]);
-            let finite = inverse.is_finite() && e.means[i].is_finite();
-            let usable = e.status[i] == EstimateStatus::Ok && finite && inverse.x_axis.x > 0.0;
-            if usable { inverse } else { DMat3::ZERO }
-        };
-        let column =
-            |e: &Estimates| (0..e.status.len()).into_par_iter().map(|i| one(e, i)).collect::<Vec<_>>();
-        Self { estimates, information: estimates.iter().map(column).collect() }
+impl Told {
+    fn new(e: &Estimates, i: usize) -> Self {
+        let (mean, information) = (e.means[i], Symmetric::from(e.covariances[i]).inverse());
+        let usable = e.status[i] == EstimateStatus::Ok && information.is_finite() && mean.is_finite();
+        if usable && information.xx > 0.0 { Self { mean, information } } else { Self::default() }
+    }
+
+    /// An information matrix has a positive diagonal.
+    pub fn usable(&self) -> bool {
+        self.information.xx > 0.0
+    }
+}
+
+/// All trackers' estimates of one Gaussian together.
+#[derive(Clone, Copy, Debug)]
+pub struct Combined {
+    /// Mean of the estimates weighted by information over scale (m).
+    pub mean: DVec3,
+    /// Sum of their informations over scale (1/m^2).
+    pub information: Symmetric,
+    /// Its inverse (m^2).
+    pub covariance: Symmetric,
+}
+
+/// Estimates of L trackers for N Gaussians.
+pub struct Evidence {
+    trackers: usize,
+    /// (N, L) estimates.
+    told: Vec<Told>,
+}
+
+impl Evidence {
+    pub fn new(estimates: &[Estimates]) -> Self {
+        let (n, trackers) = (estimates.first().map_or(0, |e| e.status.len()), estimates.len());
+        let mut told = vec![Told::default(); n * trackers];
+        told.par_chunks_mut(trackers.max(1)).enumerate().for_each(|(i, row)| {
+            row.iter_mut().zip(estimates).for_each(|(told, e)| *told = Told::new(e, i));
+        });
+        Self { trackers, told }
     }
 
     /// Number of trackers L.
     pub fn trackers(&self) -> usize {
-        self.estimates.len()
+        self.trackers
     }
 
-    /// Mean (m) and inverse covariance of an estimate; `None` where there is none.
-    pub fn of(&self, l: usize, i: usize) -> Option<(DVec3, DMat3)> {
-        let information = self.information[l][i];
-        // An information matrix has a positive diagonal.
-        (information.x_axis.x > 0.0).then(|| (self.estimates[l].means[i], information))
+    /// (L) estimates of a Gaussian.
+    pub fn all(&self, i: usize) -> &[Told] {
+        &self.told[i * self.trackers..(i + 1) * self.trackers]
+    }
+
+    /// The usable estimates of a Gaussian, each with the number of its tracker.
+    pub fn of(&self, i: usize) -> impl Iterator<Item = (usize, &Told)> {
+        self.all(i).iter().enumerate().filter(|t| t.1.usable())
     }
 
     /// Whether any tracker measured Gaussian `i`.
     pub fn measured(&self, i: usize) -> bool {
-        self.information.iter().any(|column| column[i].x_axis.x > 0.0)
+        self.all(i).iter().any(Told::usable)
     }
 
-    /// Mean of the estimates weighted by information over scale, and the sum of the informations.
-    pub fn combined(&self, i: usize, scales: &[f64]) -> Option<(DVec3, DMat3)> {
-        let (mut sum, mut vector, mut origin) = (DMat3::ZERO, DVec3::ZERO, None);
-        for (l, scale) in scales.iter().enumerate() {
-            if let Some((mean, information)) = self.of(l, i) {
-                let origin = *origin.get_or_insert(mean);
-                sum += information * scale.recip();
-                vector += information * (mean - origin) * scale.recip();
-            }
+    /// What all trackers together say with (L) factors `scales` on their covariances.
+    pub fn combined(&self, i: usize, scales: &[f64]) -> Option<Combined> {
+        let (mut information, mut vector, mut origin) = (Symmetric::default(), DVec3::ZERO, None);
+        for (l, told) in self.of(i) {
+            let scaled = told.information * scales[l].recip();
+            information += scaled;
+            vector += scaled * (told.mean - *origin.get_or_insert(told.mean));
         }
-        let mean = origin? + symmetric_inverse(sum) * vector;
-        mean.is_finite().then_some((mean, sum))
+        let covariance = information.inverse();
+        let mean = origin? + covariance * vector;
+        mean.is_finite().then_some(Combined { mean, information, covariance })
     }
 }
 
 /// Redescending weight of a squared Mahalanobis distance.
+#[inline(always)]
 pub fn robust_weight(distance: f64) -> f64 {
     let t = 1.0 + distance / TAIL;
     (t * t).recip()

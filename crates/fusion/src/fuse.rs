@@ -66,9 +66,12 @@ impl MotionFuser for InformationFuser {
     fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
         check(input)?;
         let predicted = predict(input, &self.config)?;
-        let q = median_displacement(&predicted, input.estimates).unwrap_or(input.last_q).max(input.q_floor_m);
+        let (q, evidence) = rayon::join(
+            || median_displacement(&predicted, input.estimates),
+            || Evidence::new(input.estimates),
+        );
+        let q = q.unwrap_or(input.last_q).max(input.q_floor_m);
         let q_of = process_noise(input, &predicted, &self.config, q)?;
-        let evidence = Evidence::new(input.estimates);
         let structure = match self.config.structure {
             Structure::None => None,
             _ => structured(input, &evidence, &self.config)?,
@@ -116,26 +119,25 @@ impl InformationFuser {
     fn follow(&self, input: &FusionInput, evidence: &Evidence, structure: &Structured, i: usize) -> State {
         let prior = structure.priors[i];
         let scales = structure.scales(i);
-        let count = (0..scales.len()).filter(|&l| evidence.of(l, i).is_some()).count().max(1) as f64;
+        let count = evidence.of(i).count().max(1) as f64;
         let shared = self.config.correlation_inflation * (1.0 + (count - 1.0) * structure.correlation);
-        let mut information = symmetric_inverse(prior.covariance);
+        let mut information = prior.covariance.inverse();
         let mut vector = DVec3::ZERO;
-        for (l, scale) in scales.iter().enumerate() {
-            let Some((mean, precision)) = evidence.of(l, i) else { continue };
-            let precision = precision * (scale * shared).recip();
-            let r = mean - prior.mean;
-            let expected = symmetric_inverse(precision) + prior.covariance;
-            let weight = if prior.free { 1.0 } else { robust_weight(r.dot(symmetric_inverse(expected) * r)) };
+        for (l, told) in evidence.of(i) {
+            let scale = scales[l] * shared;
+            let (precision, r) = (told.information * scale.recip(), told.mean - prior.mean);
+            let expected = told.information.inverse() * scale + prior.covariance;
+            let weight = if prior.free { 1.0 } else { robust_weight(expected.inverse().quadratic(r)) };
             information += precision * weight;
             vector += precision * r * weight;
         }
-        let covariance = symmetric_inverse(information);
+        let covariance = information.inverse();
         let mean = prior.mean + covariance * vector;
         let carried = input.prior_covariances[i] * self.config.carry;
         if mean.is_finite() && covariance.is_finite() {
-            State { mean, covariance: covariance + carried }
+            State { mean, covariance: DMat3::from(covariance) + carried }
         } else {
-            State { mean: prior.mean, covariance: prior.covariance + carried }
+            State { mean: prior.mean, covariance: DMat3::from(prior.covariance) + carried }
         }
     }
 

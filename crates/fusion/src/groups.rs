@@ -6,11 +6,13 @@
 
 use crate::cells::{Cells, bounds};
 use crate::evidence::{Evidence, MEDIAN_CHI2};
-use crate::fuse::symmetric_inverse;
+use crate::members::Members;
 use crate::motion_fit::{MotionFit, fit_motion, jackknife, place_covariance};
 use crate::process_noise::median;
 use crate::rigid::RigidMotion;
-use glam::{DMat3, DQuat, DVec3};
+use crate::symmetric::Symmetric;
+use crate::votes::Votes;
+use glam::{DQuat, DVec3};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -72,10 +74,10 @@ pub struct Group {
 
 impl Group {
     /// Where the group takes a place of t-1 (m), and the covariance of that (m^2).
-    pub fn predict(&self, place: DVec3, config: &GroupsConfig) -> (DVec3, DMat3) {
+    pub(crate) fn predict(&self, place: DVec3, config: &GroupsConfig) -> (DVec3, Symmetric) {
         let arm = self.motion.rotation * (place - self.motion.centre);
         let shared = self.spread / config.patches.clamp(1.0, self.cells.max(1) as f64);
-        let covariance = place_covariance(&self.covariance, arm) + DMat3::from_diagonal(DVec3::splat(shared));
+        let covariance = place_covariance(&self.covariance, arm) + Symmetric::scalar(shared);
         (self.motion.apply(place), covariance)
     }
 }
@@ -96,9 +98,11 @@ pub fn discover(previous: &[DVec3], evidence: &Evidence, config: &GroupsConfig) 
     let search = Search::new(previous, evidence, config, &cells);
     let mut free: Vec<bool> = search.voters.iter().map(Option::is_some).collect();
     let mut found: Vec<(Vec<usize>, RigidMotion)> = Vec::new();
+    let mut scores = search.scores(&(0..free.len()).collect::<Vec<_>>());
     while found.len() < config.max_groups {
-        let Some((members, motion)) = search.next_group(&free) else { break };
+        let Some((members, motion)) = search.next_group(&free, &scores) else { break };
         members.iter().for_each(|&c| free[c] = false);
+        scores.iter_mut().zip(search.scores(&members)).for_each(|(score, gone)| *score -= gone);
         found.push((members, motion));
     }
     let groups: Vec<(Vec<usize>, Group)> =
@@ -141,15 +145,17 @@ fn boxes(places: &[DVec3], cells: &Cells) -> Vec<(DVec3, DVec3)> {
 }
 
 /// A cell's own motion.
-struct Voter {
-    centre: DVec3,
+pub struct Voter {
+    /// Mean place at t-1 (m).
+    pub centre: DVec3,
     /// Where its centre goes (m).
-    place: DVec3,
-    covariance: DMat3,
-    information: DMat3,
-    weight: f64,
+    pub place: DVec3,
+    /// Inverse covariance of that (1/m^2).
+    pub information: Symmetric,
+    /// Its Gaussians.
+    pub weight: f64,
     /// Per tracker: factor on its covariances within the cell.
-    scales: Vec<f64>,
+    pub scales: Vec<f64>,
 }
 
 impl Voter {
@@ -158,26 +164,26 @@ impl Voter {
     }
 
     fn inflate(&mut self, factor: f64) {
-        self.covariance *= factor;
-        self.information *= factor.recip();
+        self.information = self.information * factor.recip();
     }
 
-    fn distance(&self, motion: &RigidMotion) -> f64 {
+    /// Squared Mahalanobis distance of a motion from the cell's own.
+    pub fn distance(&self, motion: &RigidMotion) -> f64 {
         let e = motion.apply(self.centre) - self.place;
-        e.dot(self.information * e)
+        self.information.quadratic(e)
     }
 }
 
 struct Search<'a> {
     previous: &'a [DVec3],
-    evidence: &'a Evidence<'a>,
+    evidence: &'a Evidence,
     config: &'a GroupsConfig,
     cells: &'a Cells,
+    /// (N) whether any tracker measured it.
+    measured: Vec<bool>,
     /// One a cell; `None` where too little was measured.
     voters: Vec<Option<Voter>>,
     proposals: Vec<RigidMotion>,
-    /// What each proposal explains of each cell: its weight, less the more it disagrees.
-    gains: Vec<Vec<f64>>,
     /// Cells near each cell.
     adjacent: Vec<Vec<usize>>,
     centres: Vec<DVec3>,
@@ -212,31 +218,24 @@ const PROPOSAL_SAMPLE: usize = 96;
 impl<'a> Search<'a> {
     fn new(
         previous: &'a [DVec3],
-        evidence: &'a Evidence<'a>,
+        evidence: &'a Evidence,
         config: &'a GroupsConfig,
         cells: &'a Cells,
     ) -> Self {
+        let measured: Vec<bool> = (0..previous.len()).into_par_iter().map(|i| evidence.measured(i)).collect();
         let fit = |members: &[usize], most: usize| {
-            let members = measured_sample(evidence, members, most);
+            let members = measured_sample(&measured, members.iter().copied(), most);
             fit_from_median(evidence, previous, &members)
         };
         let voter = |range: &std::ops::Range<usize>| {
             let fit = fit(cells.members(range), usize::MAX)?;
             let of_motion = fit.information.cholesky()?.inverse();
-            let covariance = place_covariance(&of_motion, DVec3::ZERO);
+            let information = place_covariance(&of_motion, DVec3::ZERO).inverse();
             let centre = fit.motion.centre;
             let place = fit.motion.apply(centre);
-            let information = symmetric_inverse(covariance);
             let weight = range.len() as f64;
-            let scales = fit.scales;
-            information.is_finite().then_some(Voter {
-                centre,
-                place,
-                covariance,
-                information,
-                weight,
-                scales,
-            })
+            let voter = Voter { centre, place, information, weight, scales: fit.scales };
+            information.is_finite().then_some(voter)
         };
         let largest = cells.leaves.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
         let proposal = |range: &std::ops::Range<usize>| {
@@ -256,29 +255,29 @@ impl<'a> Search<'a> {
         let noise = shared_noise(&cells.leaves, &voters, &proposals);
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
         let proposals: Vec<RigidMotion> = proposals.into_iter().map(|p| p.1).collect();
-        let gain = |voter: &Option<Voter>, motion: &RigidMotion| {
-            let share =
-                |v: &Voter| v.weight * (1.0 - v.distance(motion) / (EXPLAINED * config.leave)).max(0.0);
-            voter.as_ref().map_or(0.0, share)
-        };
-        let gains = proposals.par_iter().map(|m| voters.iter().map(|v| gain(v, m)).collect()).collect();
         Self {
             previous,
             evidence,
             config,
             cells,
+            measured,
             voters,
             proposals,
-            gains,
             adjacent: adjacency(&boxes, config.reach),
             centres: boxes.iter().map(|b| (b.0 + b.1) * 0.5).collect(),
         }
     }
 
-    /// The connected cells that a proposal explains best, among the free ones, and the motion fitted to them.
-    fn next_group(&self, free: &[bool]) -> Option<(Vec<usize>, RigidMotion)> {
-        let score = |gains: &Vec<f64>| gains.iter().zip(free).filter(|g| *g.1).map(|g| g.0).sum::<f64>();
-        let scores: Vec<f64> = self.gains.par_iter().map(score).collect();
+    /// What each proposal explains of `cells`.
+    fn scores(&self, cells: &[usize]) -> Vec<f64> {
+        let votes = Votes::new(cells.iter().filter_map(|&c| self.voters[c].as_ref()));
+        let limit = EXPLAINED * self.config.leave;
+        self.proposals.par_iter().map(|motion| votes.explained(motion, limit)).collect()
+    }
+
+    /// The connected cells that a proposal explains best, among the free ones, and the motion fitted to them; `scores`
+    /// are those of the free cells.
+    fn next_group(&self, free: &[bool], scores: &[f64]) -> Option<(Vec<usize>, RigidMotion)> {
         let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(b.cmp(&a)))?;
         let members = self.explained(&self.proposals[best], free);
         let motion = self.refit(&members, self.proposals[best])?.motion;
@@ -301,13 +300,14 @@ impl<'a> Search<'a> {
     }
 
     fn members(&self, cells: &[usize]) -> Vec<usize> {
-        let all: Vec<usize> =
-            (cells.iter()).flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied()).collect();
-        measured_sample(self.evidence, &all, self.config.sample)
+        let all = cells.iter().flat_map(|&c| self.cells.members(&self.cells.leaves[c]).iter().copied());
+        measured_sample(&self.measured, all, self.config.sample)
     }
 
     fn refit(&self, cells: &[usize], start: RigidMotion) -> Option<MotionFit> {
-        fit_motion(self.evidence, self.previous, &self.members(cells), start)
+        let members = self.members(cells);
+        let members = (!members.is_empty()).then(|| Members::new(self.evidence, self.previous, &members))?;
+        fit_motion(&members, start)
     }
 
     /// The group's final motion with its covariance.
@@ -346,10 +346,8 @@ impl<'a> Search<'a> {
 
     /// Typical variance per axis of one Gaussian's combined estimate (m^2).
     fn single_variance(&self, cells: &[usize], scales: &[f64]) -> Option<f64> {
-        let trace = |m: DMat3| m.x_axis.x + m.y_axis.y + m.z_axis.z;
-        let variance =
-            |&i: &usize| Some(trace(symmetric_inverse(self.evidence.combined(i, scales)?.1)) / 3.0);
-        median(&mut self.members(cells).iter().filter_map(variance).collect::<Vec<_>>())
+        let variance = |&i: &usize| Some(self.evidence.combined(i, scales)?.covariance.trace() / 3.0);
+        median(&mut self.members(cells).par_iter().filter_map(variance).collect::<Vec<_>>())
     }
 
     /// Every cell joins a group: its own, or the one with the nearest cell.
@@ -395,9 +393,8 @@ impl<'a> Search<'a> {
         let (expected, uncertain) = parent.predict(centre, self.config);
         let patches = (cells.len() as f64 / PATCH_CELLS).max(1.0);
         let patch = self.single_variance(cells, &group.scales).unwrap_or(0.0) / patches;
-        let total = covariance + uncertain + DMat3::from_diagonal(DVec3::splat(parent.spread + patch));
-        let e = place - expected;
-        e.dot(symmetric_inverse(total) * e) <= self.config.leave
+        let total = covariance + uncertain + Symmetric::scalar(parent.spread + patch);
+        total.inverse().quadratic(place - expected) <= self.config.leave
     }
 }
 
@@ -421,10 +418,14 @@ const DISSENT: f64 = 10.0;
 const MEDIAN_LENGTH: f64 = 1.538;
 
 /// The measured ones of `members`, thinned evenly to at most `most`, in the same order.
-fn measured_sample(evidence: &Evidence, members: &[usize], most: usize) -> Vec<usize> {
-    let measured: Vec<usize> = members.iter().copied().filter(|&i| evidence.measured(i)).collect();
-    let stride = measured.len().div_ceil(most.max(1)).max(1);
-    measured.into_iter().step_by(stride).collect()
+fn measured_sample(
+    measured: &[bool],
+    members: impl Iterator<Item = usize> + Clone,
+    most: usize,
+) -> Vec<usize> {
+    let count = members.clone().filter(|&i| measured[i]).count();
+    let stride = count.div_ceil(most.max(1)).max(1);
+    members.filter(|&i| measured[i]).step_by(stride).collect()
 }
 
 /// Fits from the componentwise median of all trackers' displacements.
@@ -432,21 +433,21 @@ fn fit_from_median(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -
     if members.len() < MIN_MEASURED {
         return None;
     }
-    let steps: Vec<DVec3> = (members.iter())
-        .flat_map(|&i| (0..evidence.trackers()).filter_map(move |l| Some(evidence.of(l, i)?.0 - previous[i])))
-        .collect();
-    let axis = |a: usize| median(&mut steps.iter().map(|s| s[a]).collect::<Vec<_>>());
+    let members = Members::new(evidence, previous, members);
+    let axis = |a: usize| median(&mut members.steps(a));
     let step = DVec3::new(axis(0)?, axis(1)?, axis(2)?);
-    let start = RigidMotion { centre: previous[members[0]], rotation: DQuat::IDENTITY, step };
-    fit_motion(evidence, previous, members, start)
+    fit_motion(&members, RigidMotion { centre: members.centre, rotation: DQuat::IDENTITY, step })
 }
 
 /// For every box those no farther away than `reach` typical diagonals.
 fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
     let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
     let limit = reach * median(&mut diagonals).unwrap_or(0.0);
-    let gap = |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length();
-    let near =
-        |a: usize| (0..boxes.len()).filter(|&b| b != a && gap(&boxes[a], &boxes[b]) <= limit).collect();
+    let gap2 =
+        |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length_squared();
+    let near = |a: usize| {
+        let near = |b: &usize| *b != a && gap2(&boxes[a], &boxes[*b]) <= limit * limit;
+        (0..boxes.len()).filter(near).collect()
+    };
     (0..boxes.len()).into_par_iter().map(near).collect()
 }

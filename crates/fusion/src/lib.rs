@@ -31,17 +31,22 @@
 
 mod cells;
 mod config;
+mod correlation;
 mod densify;
 mod evidence;
 mod fuse;
 mod groups;
+mod members;
 mod motion_fit;
 mod neighbourhoods;
+mod normal;
 mod process_noise;
 mod rigid;
 mod structure;
+mod symmetric;
 mod validation;
 mod view_counts;
+mod votes;
 
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};

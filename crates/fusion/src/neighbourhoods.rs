@@ -96,7 +96,7 @@ pub fn local_rigid_motion(
     };
     Ok(Some(StructurePrior {
         means: predictions.iter().map(|p| p.place).collect(),
-        covariances: predictions.iter().enumerate().map(|(i, p)| covariance(i, p)).collect(),
+        covariances: predictions.par_iter().enumerate().map(|(i, p)| covariance(i, p)).collect(),
         rotations: predictions.iter().map(|p| p.rotation).collect(),
         inflation,
     }))
@@ -232,7 +232,7 @@ impl<'a> Cloud<'a> {
             e.dot(self.covariances[i].inverse() * e)
         };
         let mut distances: Vec<f64> =
-            self.donors.iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
+            self.donors.par_iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
         (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(1.0)
     }
 

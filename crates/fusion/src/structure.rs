@@ -1,11 +1,13 @@
 //! Where every Gaussian's surroundings say that it goes: the prior of the fusion, beyond the paper.
 
 use crate::config::{FusionConfig, FusionError, Structure};
-use crate::evidence::Evidence;
-use crate::fuse::{FusionInput, symmetric_inverse};
+use crate::correlation::correlation;
+use crate::evidence::{Combined, Evidence, Told};
+use crate::fuse::FusionInput;
 use crate::groups::{Groups, discover};
 use crate::neighbourhoods::local_rigid_motion;
 use crate::process_noise::median;
+use crate::symmetric::Symmetric;
 use glam::{DMat3, DQuat, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -17,11 +19,11 @@ pub struct Prior {
     /// Predicted place (m).
     pub mean: DVec3,
     /// Covariance of the predicted motion (m^2), without that of the place at t-1.
-    pub covariance: DMat3,
+    pub covariance: Symmetric,
     /// Rotation of what it belongs to.
     pub rotation: DQuat,
     /// Row of [`Structured::scales`].
-    scales: usize,
+    pub scales: usize,
     /// Variance per axis by which parts of its group deviate from the group's motion (m^2).
     spread: f64,
     /// Whether it follows its own neighbourhood rather than a group.
@@ -96,7 +98,7 @@ pub fn structured(
 /// A prior moved by a departure.
 fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
     let (prior, Some(departure)) = (prior?, departure) else { return prior };
-    let covariance = prior.covariance + DMat3::from_diagonal(DVec3::splat(departure.variance));
+    let covariance = prior.covariance + Symmetric::scalar(departure.variance);
     Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, free: true, ..prior })
 }
 
@@ -114,9 +116,9 @@ fn with_neighbourhoods(
     }
     let (previous, ones) = (input.prior_means, vec![1.0; evidence.trackers()]);
     let combined: Vec<_> = (0..previous.len()).into_par_iter().map(|i| evidence.combined(i, &ones)).collect();
-    let means: Vec<DVec3> = combined.iter().zip(previous).map(|(c, &p)| c.map_or(p, |c| c.0)).collect();
+    let means: Vec<DVec3> = combined.iter().zip(previous).map(|(c, &p)| c.map_or(p, |c| c.mean)).collect();
     let covariances: Vec<DMat3> =
-        combined.iter().map(|c| c.map_or(DMat3::ZERO, |c| symmetric_inverse(c.1))).collect();
+        combined.iter().map(|c| c.map_or(DMat3::ZERO, |c| c.covariance.into())).collect();
     let measured: Vec<bool> = combined.iter().map(Option::is_some).collect();
     let local = local_rigid_motion(previous, &means, &covariances, &measured, &wanted, &config.rigid)?;
     let Some(local) = local else { return Ok(None) };
@@ -124,7 +126,7 @@ fn with_neighbourhoods(
     scales.push(vec![local.inflation; evidence.trackers()]);
     let own = |i: usize| Prior {
         mean: local.means[i],
-        covariance: local.covariances[i],
+        covariance: local.covariances[i].into(),
         rotation: local.rotations[i],
         scales: row,
         spread: 0.0,
@@ -142,14 +144,14 @@ const JUDGES: usize = 12;
 /// deviation than to none.
 struct Leavers<'a> {
     previous: &'a [DVec3],
-    evidence: &'a Evidence<'a>,
+    evidence: &'a Evidence,
     priors: &'a [Option<Prior>],
     scales: &'a [Vec<f64>],
     leave: f64,
 }
 
-/// Offset of a Gaussian's own evidence from its prior (m) with its information.
-type Offset = Option<(DVec3, DMat3)>;
+/// What the trackers of a Gaussian say together, as an offset from its prior.
+type Offset = Option<Combined>;
 
 /// How a Gaussian and those who side with it deviate from the group.
 #[derive(Clone, Copy)]
@@ -177,7 +179,7 @@ impl Leavers<'_> {
             ImmutableKdTree::new_from_slice(&points).map_err(|e| FusionError::Index(format!("{e:?}")))?;
         let count = NonZero::new((JUDGES + 1).min(points.len())).unwrap_or(NonZero::<usize>::MIN);
         let departure = |i: usize| {
-            let (own, _) = offsets[i].filter(|_| suspects[i])?;
+            let own = offsets[i].filter(|_| suspects[i])?.mean;
             let near = tree.query(&local(i)).nearest_n::<SquaredEuclidean<f64>>(count).execute();
             let judges = near.iter().map(|n| measured[n.item as usize]).filter(|&j| j != i);
             judge(own, judges.filter_map(|j| offsets[j]))
@@ -187,24 +189,21 @@ impl Leavers<'_> {
 
     fn offset(&self, i: usize) -> Offset {
         let prior = self.priors[i]?;
-        let (mean, information) = self.evidence.combined(i, &self.scales[prior.scales])?;
-        Some((mean - prior.mean, information))
+        let combined = self.evidence.combined(i, &self.scales[prior.scales])?;
+        Some(Combined { mean: combined.mean - prior.mean, ..combined })
     }
 
     /// Whether all trackers together contradict the group, and each of them alone.
     fn contradicts(&self, i: usize, offset: Offset) -> bool {
-        let (Some(prior), Some((e, information))) = (self.priors[i], offset) else { return false };
-        let expected = prior.covariance + DMat3::from_diagonal(DVec3::splat(prior.spread));
-        let distance = |e: DVec3, information: DMat3| {
-            e.dot(symmetric_inverse(symmetric_inverse(information) + expected) * e)
-        };
-        let alone = |(l, scale): (usize, &f64)| {
-            let (mean, information) = self.evidence.of(l, i)?;
-            Some(distance(mean - prior.mean, information * scale.recip()))
-        };
+        let (Some(prior), Some(offset)) = (&self.priors[i], offset) else { return false };
+        let expected = prior.covariance + Symmetric::scalar(prior.spread);
+        let distance = |e: DVec3, covariance: Symmetric| (covariance + expected).inverse().quadratic(e);
         let scales = &self.scales[prior.scales];
-        !(distance(e, information) <= self.leave)
-            && !scales.iter().enumerate().filter_map(alone).any(|d| d <= ALONE * self.leave)
+        let alone = |(l, told): (usize, &Told)| {
+            distance(told.mean - prior.mean, told.information.inverse() * scales[l])
+        };
+        !(distance(offset.mean, offset.covariance) <= self.leave)
+            && !self.evidence.of(i).map(alone).any(|d| d <= ALONE * self.leave)
     }
 }
 
@@ -212,12 +211,11 @@ impl Leavers<'_> {
 const ALONE: f64 = 0.55;
 
 /// The departure of a Gaussian with deviation `own`, if more than half of its neighbours side with it.
-fn judge(own: DVec3, neighbours: impl Iterator<Item = (DVec3, DMat3)>) -> Option<Departure> {
+fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Departure> {
     let (mut siding, mut all) = (vec![own], 0);
-    for (offset, information) in neighbours {
-        let apart = offset - own;
+    for Combined { mean: offset, information, .. } in neighbours {
         all += 1;
-        if apart.dot(information * apart) < offset.dot(information * offset) {
+        if information.quadratic(offset - own) < information.quadratic(offset) {
             siding.push(offset);
         }
     }
@@ -228,34 +226,4 @@ fn judge(own: DVec3, neighbours: impl Iterator<Item = (DVec3, DMat3)>) -> Option
     let offset = DVec3::new(axis(0), axis(1), axis(2));
     let squares: f64 = siding.iter().map(|o| o.distance_squared(offset)).sum();
     Some(Departure { offset, variance: squares / (3 * siding.len()) as f64 })
-}
-
-/// Largest normalised error that counts; outliers say nothing of the correlation.
-const CLIP: f64 = 3.0;
-
-/// Mean product of two trackers' normalised errors about the priors.
-fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
-    let errors = |i: usize| -> Vec<DVec3> {
-        let Some(prior) = priors[i] else { return Vec::new() };
-        let error = |l: usize| {
-            let (mean, information) = evidence.of(l, i)?;
-            let trace = information.x_axis.x + information.y_axis.y + information.z_axis.z;
-            let z = (mean - prior.mean) * (trace / 3.0 / scales[prior.scales][l]).sqrt();
-            Some(z.clamp_length_max(CLIP))
-        };
-        (0..evidence.trackers()).filter_map(error).collect()
-    };
-    let (mut products, mut squares, mut pairs, mut count) = (0.0, 0.0, 0.0, 0.0);
-    for i in 0..priors.len() {
-        let z = errors(i);
-        for (a, left) in z.iter().enumerate() {
-            squares += left.length_squared();
-            count += 1.0;
-            for right in &z[..a] {
-                products += left.dot(*right);
-                pairs += 1.0;
-            }
-        }
-    }
-    if pairs > 0.0 && squares > 0.0 { (products / pairs / (squares / count)).clamp(0.0, 0.95) } else { 0.0 }
 }

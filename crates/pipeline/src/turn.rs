@@ -5,6 +5,9 @@ use ffgs_core::Gaussians;
 use glam::{DQuat, DVec3};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::LazyLock;
 
 /// Turns every Gaussian by its rotation, as far as `rotate` says.
 pub fn turn(gaussians: &mut Gaussians, rotations: &[DQuat], rotate: Rotate) {
@@ -25,27 +28,43 @@ pub fn turned(rotation: DQuat, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
     [q.w, q.x, q.y, q.z]
 }
 
-/// Gaussians handled at a time: members of one group follow each other, so that one matrix serves many.
+/// Gaussians handled at a time, by one thread.
 const CHUNK: usize = 1024;
+/// Matrices kept in a chunk: those of the groups that its Gaussians belong to in turn.
+const KEPT: usize = 8;
 /// Most basis functions: degree 3.
 const BASIS: usize = 16;
 type Bands = SMatrix<f64, BASIS, BASIS>;
+/// Coefficients of each degree; a turn does not mix them.
+const BANDS: [Range<usize>; 4] = [0..1, 1..4, 4..9, 9..16];
 
 fn turn_colours(sh: &mut [[f32; 3]], rotations: &[DQuat], degree: usize) {
     let stride = (degree + 1) * (degree + 1);
-    let mut last: Option<(DQuat, Bands)> = None;
+    let mut kept: VecDeque<(DQuat, Bands)> = VecDeque::with_capacity(KEPT);
     for (coefficients, &rotation) in sh.chunks_exact_mut(stride).zip(rotations) {
-        let matrix = match last {
-            Some((of, matrix)) if of == rotation => matrix,
-            _ => band_matrix(rotation),
-        };
-        last = Some((rotation, matrix));
-        for channel in 0..3 {
-            let mut before = SVector::<f64, BASIS>::zeros();
-            (0..stride).for_each(|k| before[k] = f64::from(coefficients[k][channel]));
-            let after = matrix * before;
-            (0..stride).for_each(|k| coefficients[k][channel] = after[k] as f32);
+        let at = kept.iter().position(|k| k.0 == rotation).unwrap_or_else(|| {
+            kept.truncate(KEPT - 1);
+            kept.push_front((rotation, band_matrix(rotation)));
+            0
+        });
+        for band in &BANDS[..=degree] {
+            turn_band(&mut coefficients[band.clone()], &kept[at].1, band.start);
         }
+    }
+}
+
+/// Turns the coefficients of one degree, which begin at `start`.
+fn turn_band(coefficients: &mut [[f32; 3]], matrix: &Bands, start: usize) {
+    let mut before = [[0.0; 3]; BASIS];
+    before.iter_mut().zip(&*coefficients).for_each(|(b, c)| *b = c.map(f64::from));
+    let count = coefficients.len();
+    for (row, out) in coefficients.iter_mut().enumerate() {
+        let mut sum = [0.0; 3];
+        for (column, value) in before[..count].iter().enumerate() {
+            let m = matrix[(start + row, start + column)];
+            (0..3).for_each(|channel| sum[channel] += m * value[channel]);
+        }
+        *out = sum.map(|v| v as f32);
     }
 }
 
@@ -53,17 +72,17 @@ fn turn_colours(sh: &mut [[f32; 3]], rotations: &[DQuat], degree: usize) {
 ///
 /// Both are compared at directions that fix all coefficients; bands do not mix, so lower degrees are its corner.
 fn band_matrix(rotation: DQuat) -> Bands {
-    let directions = directions();
-    let (mut gram, mut cross) = (Bands::zeros(), Bands::zeros());
     let back = rotation.inverse();
-    for d in directions {
-        let (now, before) = (basis(d), basis(back * d));
-        gram += now * now.transpose();
-        cross += now * before.transpose();
-    }
-    // The directions are constant and spread over the sphere: the Gram matrix is well conditioned.
-    gram.cholesky().map_or_else(Bands::identity, |g| g.solve(&cross))
+    DIRECTIONS.iter().fold(Bands::zeros(), |sum, (d, dual)| sum + dual * basis(back * *d).transpose())
 }
+
+/// Directions, each with the coefficients that a value there adds to a least-squares fit of all.
+static DIRECTIONS: LazyLock<Vec<(DVec3, SVector<f64, BASIS>)>> = LazyLock::new(|| {
+    let gram = directions().map(basis).fold(Bands::zeros(), |sum, b| sum + b * b.transpose());
+    // The directions are constant and spread over the sphere: the Gram matrix is well conditioned.
+    let inverse = gram.cholesky().map_or_else(Bands::identity, |g| g.inverse());
+    directions().map(|d| (d, inverse * basis(d))).collect()
+});
 
 /// Points spread evenly over the sphere (Fibonacci lattice).
 fn directions() -> impl Iterator<Item = DVec3> {

@@ -50,19 +50,33 @@ fn bin_names(ends: &[f64]) -> Vec<String> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn bins_are_named_and_every_estimate_has_a_curve() {
-        assert_eq!(bin_names(&[1.0, 2.5]), ["0-1", "1-2.5", "> 2.5"]);
-        let one = |name: &str| MotionAccuracy {
+    fn accuracy(name: &str) -> MotionAccuracy {
+        MotionAccuracy {
             name: name.into(),
             bins_cm: vec![1.0],
             shares: vec![0.75, 0.25],
             calibration: vec![(0.5, 0.4), (0.9, 0.8)],
             ..MotionAccuracy::default()
-        };
-        let plots = motion_plots(&[one("a"), one("fused")]);
+        }
+    }
+
+    #[test]
+    fn bins_are_named_and_every_estimate_has_a_curve() {
+        assert_eq!(bin_names(&[1.0, 2.5]), ["0-1", "1-2.5", "> 2.5"]);
+        let plots = motion_plots(&[accuracy("a"), accuracy("fused")]);
         assert_eq!(plots.len(), 2);
         assert!(plots[0].contains("fused") && plots[0].contains("&gt; 1") && plots[1].contains("calibrated"));
         assert!(motion_plots(&[]).is_empty());
+    }
+
+    /// The axes lie from 62 to 546 px and, upwards, from 206 to 14 px.
+    #[test]
+    fn curves_go_through_the_values() {
+        let plots = motion_plots(&[accuracy("fused")]);
+        // Shares of 75 and 25 % between ticks at 20 and 80 %.
+        assert!(plots[0].contains("d=\"M62.0 30.0L546.0 190.0\""), "{}", plots[0]);
+        // The diagonal spans both axes from 0 to 100 %; (50, 40) and (90, 80) lie below it.
+        assert!(plots[1].contains("d=\"M62.0 206.0L546.0 14.0\""), "{}", plots[1]);
+        assert!(plots[1].contains("d=\"M304.0 129.2L497.6 52.4\""), "{}", plots[1]);
     }
 }

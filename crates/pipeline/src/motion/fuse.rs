@@ -3,7 +3,7 @@
 use super::{Dynamic, MotionInput, MotionOutcome, add_seconds};
 use crate::turn::turn;
 use anyhow::Result;
-use ffgs_core::Estimates;
+use ffgs_core::{Camera, Estimates};
 use ffgs_fusion::{Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
 use ffgs_trainer::TrainingView;
 use glam::DVec3;
@@ -12,19 +12,39 @@ use std::time::Instant;
 
 /// Size of a pixel at each Gaussian (m): z / f in the nearest camera that sees it.
 pub fn pixel_sizes(means: &[DVec3], views: &[TrainingView]) -> Vec<f64> {
-    let size = |mean: &DVec3| {
-        let sizes = views.iter().filter_map(|v| {
-            let projection = v.camera.project(*mean).filter(|p| v.camera.shows(p.pixel))?;
-            Some(projection.depth / v.camera.intrinsics().focal())
-        });
-        sizes.fold(f64::INFINITY, f64::min)
-    };
+    let views: Vec<Lens> = views.iter().map(|view| Lens::new(&view.camera)).collect();
+    let size = |mean: &DVec3| views.iter().fold(f64::INFINITY, |least, view| view.nearer(*mean, least));
     let sizes: Vec<f64> = means.par_iter().map(size).collect();
     let mut seen: Vec<f64> = sizes.iter().copied().filter(|s| s.is_finite()).collect();
-    seen.sort_by(f64::total_cmp);
-    // A Gaussian that no view sees takes the median size; with none seen at all, a centimetre.
-    let typical = seen.get(seen.len() / 2).copied().unwrap_or(0.01);
+    // A Gaussian that no view sees takes the median size.
+    let typical = typical_size(&mut seen);
     sizes.into_iter().map(|s| if s.is_finite() { s } else { typical }).collect()
+}
+
+/// The (upper) median size; a centimetre of none.
+fn typical_size(sizes: &mut [f64]) -> f64 {
+    let half = sizes.len() / 2;
+    if sizes.is_empty() { 0.01 } else { *sizes.select_nth_unstable_by(half, f64::total_cmp).1 }
+}
+
+/// A camera with what tells the size of a pixel at a place without a projection.
+struct Lens<'a> {
+    camera: &'a Camera,
+    /// Viewing direction in the world.
+    axis: DVec3,
+    focal: f64,
+}
+
+impl<'a> Lens<'a> {
+    fn new(camera: &'a Camera) -> Self {
+        Self { camera, axis: camera.rotation().transpose().z_axis, focal: camera.intrinsics().focal() }
+    }
+
+    /// The size of a pixel (m) at a place, if it is seen there and less than `least`; else `least`.
+    fn nearer(&self, place: DVec3, least: f64) -> f64 {
+        let size = (self.axis.dot(place) + self.camera.translation().z) / self.focal;
+        if size < least && self.camera.pixel_of(place).is_some() { size } else { least }
+    }
 }
 
 /// Lines 25 to 34: the posterior of the layer.
@@ -36,7 +56,6 @@ pub fn fuse(
 ) -> Result<Fused> {
     let start = Instant::now();
     let mut pixel_m = pixel_sizes(&outcome.previous, input.before);
-    pixel_m.sort_by(f64::total_cmp);
     let fuser = InformationFuser { config: input.config.fusion };
     let objects = match input.config.fusion.q_mode {
         ProcessNoise::Global => None,
@@ -50,7 +69,7 @@ pub fn fuse(
         previous_steps: Some(dynamic.known_steps().unwrap_or(&standing)),
         groups: objects.as_deref(),
         last_q: dynamic.q,
-        q_floor_m: 0.25 * pixel_m.get(pixel_m.len() / 2).copied().unwrap_or(0.01),
+        q_floor_m: 0.25 * typical_size(&mut pixel_m),
     })?;
     add_seconds(&mut outcome.seconds.fusion, start);
     Ok(fused)
