@@ -1,6 +1,8 @@
 use crate::normal::Normal;
-use crate::views::{RayWeights, Views};
-use glam::DVec3;
+use crate::passes::{RayWeights, squared_error};
+use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
+use crate::views::{LensLanes, Views};
+use pulp::{Simd, WithSimd};
 
 /// Residual scales of the robust steps (px).
 #[derive(Clone, Copy, Debug)]
@@ -17,59 +19,174 @@ const SOFT_STEPS: usize = 6;
 /// cut is 4 px.
 const LANDED: f64 = 1e-4;
 /// So many views do not agree by chance when they are three quarters of all.
-const SURE: usize = 5;
+const SURE: f64 = 5.0;
 /// Pairs of views tried when the re-weighted solution still has outliers. With 15 % outliers 72 % of pairs are clean.
 const MAX_PAIRS: usize = 36;
 
-/// A point near the views that agree with each other, from `start`.
+/// Points near the views that agree with each other, from `start`, in the given lanes.
 ///
 /// Soft re-weighting first; when too many views remain beyond the cut, the intersections of pairs of views compete with
 /// it on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
-pub fn locate(views: &mut Views, start: DVec3, scales: Scales) -> DVec3 {
-    let soft = soften(views, start, scales.soft);
-    let cut2 = scales.cut * scales.cut;
-    let agreeing = views.errors(soft).filter(|e| *e <= cut2).count();
-    if views.len() < 3 || agreeing == views.len() || (agreeing >= SURE && 4 * agreeing >= 3 * views.len()) {
+#[inline(always)]
+pub fn locate<S: Simd>(
+    views: &Views<S>,
+    lanes: Truth<S>,
+    start: [Real<S>; 3],
+    scales: Scales,
+) -> [Real<S>; 3] {
+    let soft = soften(views, lanes, start, scales.soft);
+    let cut2 = views.number(scales.cut * scales.cut);
+    let survey = views.survey(soft, cut2);
+    let most = survey.agreeing.above(views.number(SURE - 1.0))
+        & (views.number(3.0) * views.count).up_to(views.number(4.0) * survey.agreeing);
+    let sure = views.number(3.0).above(views.count) | views.count.up_to(survey.agreeing) | most;
+    let unsure = lanes.except(sure);
+    if !unsure.any() {
         return soft;
     }
-    let mut best = (views.truncated_cost(soft, cut2), soft);
-    for (a, b) in pairs(views.len()) {
-        if let Some(point) = intersect(views, a, b) {
-            let cost = views.truncated_cost(point, cut2);
-            if cost < best.0 {
-                best = (cost, point);
-            }
+    let (mut best, mut least) = (soft, survey.truncated);
+    for lane in unsure.lanes() {
+        let found = views.simd.vectorize(PairSearch { views, lane, cut2: scales.cut * scales.cut, least });
+        if let Some((point, cost)) = found {
+            least.set_lane(lane, cost);
+            (0..3).for_each(|axis| best[axis].set_lane(lane, point[axis]));
         }
     }
-    let polished = soften(views, best.1, scales.soft);
-    if views.truncated_cost(polished, cut2) <= best.0 { polished } else { best.1 }
+    let polished = soften(views, unsure, best, scales.soft);
+    let better = views.survey(polished, cut2).truncated.up_to(least);
+    better.select3(polished, best)
 }
 
-/// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`.
-pub fn soften(views: &Views, start: DVec3, scale: f64) -> DVec3 {
-    let mut point = start;
+/// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`, in the given lanes.
+#[inline(always)]
+pub fn soften<S: Simd>(views: &Views<S>, lanes: Truth<S>, start: [Real<S>; 3], scale: f64) -> [Real<S>; 3] {
+    let weights = RayWeights::Soft(views.number(1.0 / (scale * scale)));
+    let near = views.number(LANDED) * views.scale;
+    let (mut point, mut moving) = (start, lanes);
     for _ in 0..SOFT_STEPS {
-        let Some(next) = views.rays(point, RayWeights::Soft(scale)).solve() else { break };
-        let step = next - point;
-        point = next;
-        if step.length() <= LANDED * views.scale {
+        let (next, solved) = views.meet(point, weights).solve(views.simd);
+        moving = moving & solved;
+        let step = minus(next, point);
+        point = moving.select3(next, point);
+        moving = moving.except(dot(step, step).sqrt().up_to(near));
+        if !moving.any() {
             break;
         }
     }
     point
 }
 
-/// Point nearest to two rays: `W_a + W_b` is singular only where they are parallel.
-fn intersect(views: &Views, a: usize, b: usize) -> Option<DVec3> {
-    let mut normal = Normal { a: [2.0, 0.0, 0.0, 2.0, 0.0, 2.0], b: [0.0; 3] };
-    let mut sum = DVec3::ZERO;
-    for view in [a, b] {
-        let (d, c) = (views.ray(view), views.center(view));
-        let products = [d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z];
-        normal.a.iter_mut().zip(products).for_each(|(entry, product)| *entry -= product);
-        sum += c - d * d.dot(c);
+/// A view of the one Gaussian at hand.
+struct Sight {
+    lens: usize,
+    target: [f64; 2],
+    weight: f64,
+    ray: [f64; 3],
+    center: [f64; 3],
+}
+
+/// The best intersection of two views of one lane's Gaussian, if it is better than `least`: here a pair is a lane.
+struct PairSearch<'a, 'b, S: Simd> {
+    views: &'a Views<'b, S>,
+    lane: usize,
+    cut2: f64,
+    least: Real<S>,
+}
+
+impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
+    type Output = Option<([f64; 3], f64)>;
+
+    #[inline(always)]
+    fn with_simd<T: Simd>(self, _: T) -> Self::Output {
+        let sights = self.sights();
+        let mut pairs = pairs(sights.len());
+        let (mut least, mut best) = (self.least.lane(self.lane), None);
+        loop {
+            let mut batch = [(0, 0); MAX_LANES];
+            let mut used = 0;
+            while used < S::F64_LANES {
+                let Some(pair) = pairs.next() else { break };
+                batch[used] = pair;
+                used += 1;
+            }
+            if used == 0 {
+                return best;
+            }
+            let (points, sound) = self.intersect(&sights, &batch);
+            let costs = self.truncated(&sights, points).to_lanes();
+            for lane in sound.lanes() {
+                if lane < used && costs[lane] < least {
+                    least = costs[lane];
+                    best = Some(([points[0].lane(lane), points[1].lane(lane), points[2].lane(lane)], least));
+                }
+            }
+        }
     }
-    Normal { b: sum.to_array(), ..normal }.solve()
+}
+
+impl<S: Simd> PairSearch<'_, '_, S> {
+    #[inline(always)]
+    fn previous(&self) -> [f64; 3] {
+        let [x, y, z] = self.views.previous;
+        [x.lane(self.lane), y.lane(self.lane), z.lane(self.lane)]
+    }
+
+    #[inline(always)]
+    fn sights(&self) -> Vec<Sight> {
+        let Self { views, lane, .. } = *self;
+        let mut out = Vec::with_capacity(views.rows.len());
+        for (row, ray) in views.rows.iter().zip(&views.rays) {
+            let weight = row.weight.lane(lane);
+            if weight > 0.0 {
+                let target = [row.target[0].lane(lane), row.target[1].lane(lane)];
+                let ray = [ray[0].lane(lane), ray[1].lane(lane), ray[2].lane(lane)];
+                let center = views.lenses[row.lens].center_from(self.previous());
+                out.push(Sight { lens: row.lens, target, weight, ray, center });
+            }
+        }
+        out
+    }
+
+    /// Points nearest to two rays: `W_a + W_b` is singular only where they are parallel.
+    #[inline(always)]
+    fn intersect(&self, sights: &[Sight], pairs: &[(usize, usize); MAX_LANES]) -> ([Real<S>; 3], Truth<S>) {
+        let simd = self.views.simd;
+        let mut normal = Normal::zero(simd);
+        for side in 0..2 {
+            let (mut ray, mut center): ([Lanes; 3], [Lanes; 3]) = Default::default();
+            for lane in 0..S::F64_LANES {
+                let sight = &sights[if side == 0 { pairs[lane].0 } else { pairs[lane].1 }];
+                for axis in 0..3 {
+                    ray[axis][lane] = sight.ray[axis];
+                    center[axis][lane] = sight.center[axis];
+                }
+            }
+            let zero = Real::all(simd, 0.0);
+            let (mut d, mut c) = ([zero; 3], [zero; 3]);
+            for axis in 0..3 {
+                d[axis] = Real::from_lanes(simd, &ray[axis]);
+                c[axis] = Real::from_lanes(simd, &center[axis]);
+            }
+            normal.add_line(d, c, Real::all(simd, 1.0));
+        }
+        normal.solve(simd)
+    }
+
+    /// `sum w min(r^2, cut^2)` of each point.
+    #[inline(always)]
+    fn truncated(&self, sights: &[Sight], points: [Real<S>; 3]) -> Real<S> {
+        let simd = self.views.simd;
+        let cut2 = Real::all(simd, self.cut2);
+        let previous = all3(simd, self.previous());
+        let mut cost = Real::all(simd, 0.0);
+        for sight in sights {
+            let lens = LensLanes::new(simd, &self.views.lenses[sight.lens], previous);
+            let target = [Real::all(simd, sight.target[0]), Real::all(simd, sight.target[1])];
+            let error = squared_error(simd, &lens, target, lens.turn(minus(points, lens.center)));
+            cost = Real::all(simd, sight.weight).times_plus(cut2.above(error).select(error, cut2), cost);
+        }
+        cost
+    }
 }
 
 /// All pairs of `n` views, thinned evenly to at most [`MAX_PAIRS`].

@@ -1,9 +1,12 @@
 use crate::config::TriangulationConfig;
 use crate::normal::Normal;
+use crate::passes::{Fit, RayWeights};
+use crate::real::{MAX_LANES, Real, Truth, dot, plus};
 use crate::robust::{self, Scales};
-use crate::views::{RayWeights, Views};
+use crate::views::Views;
 use ffgs_core::EstimateStatus;
 use glam::{DMat3, DVec3};
+use pulp::Simd;
 
 /// A solved Gaussian, before the noise scale is known.
 #[derive(Clone, Copy, Debug)]
@@ -20,165 +23,311 @@ pub struct Solution {
     pub views: usize,
 }
 
-/// A point with its normal system and weighted squared residuals (px^2).
+/// As [`Solution`], of the Gaussians of all lanes.
 #[derive(Clone, Copy)]
-struct Fit {
-    point: DVec3,
-    normal: Normal,
-    cost: f64,
+struct Summary<S: Simd> {
+    step: [Real<S>; 3],
+    /// xx, xy, xz, yy, yz, zz.
+    unit_covariance: [Real<S>; 6],
+    residuals: Real<S>,
+    views: Real<S>,
 }
 
-/// Solves for the Gaussian whose observations are `views`; views that contradict the others are removed from it.
-pub fn solve(
-    views: &mut Views,
+/// Which lanes still hope for a solution, and why the others do not.
+struct Fates<S: Simd> {
+    alive: Truth<S>,
+    status: [EstimateStatus; MAX_LANES],
+}
+
+impl<S: Simd> Fates<S> {
+    /// Gives up the lanes among those alive.
+    #[inline(always)]
+    fn fail(&mut self, lanes: Truth<S>, status: EstimateStatus) {
+        let lanes = lanes & self.alive;
+        if lanes.any() {
+            lanes.lanes().for_each(|lane| self.status[lane] = status);
+            self.alive = self.alive.except(lanes);
+        }
+    }
+}
+
+/// Solves for the Gaussians whose observations are `views`; views that contradict the others are removed from it.
+#[inline(always)]
+pub fn solve<S: Simd>(
+    views: &mut Views<S>,
     config: &TriangulationConfig,
     scales: Scales,
-) -> Result<Solution, EstimateStatus> {
-    if views.len() < 2 {
-        return Err(EstimateStatus::TooFewViews);
+    out: &mut [Result<Solution, EstimateStatus>],
+) {
+    let enough = views.number(1.0).above(views.number(0.0));
+    let mut fates = Fates { alive: enough, status: [EstimateStatus::Ok; MAX_LANES] };
+    fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
+    let start = ray_start(views, config, &mut fates);
+    let start = if config.robust { keep_consistent(views, start, scales, &mut fates) } else { start };
+    let cut2 = config.robust.then_some(scales.cut * scales.cut);
+    let fit = settle(views, start, config, cut2, &mut fates);
+    let mut summary = summarise(views, &fit, &mut fates);
+    if config.collinear_degrees != 0.0 {
+        summary = drop_collinear(views, summary, config, &fates);
     }
-    let start = ray_start(views, config).ok_or(EstimateStatus::Degenerate)?;
-    let start = if config.robust { keep_consistent(views, start, scales)? } else { start };
-    let fit = if config.robust {
-        let rough = refine(views, start, config, ROUGH)?;
-        settle(views, rough, config, scales)?
-    } else {
-        refine(views, start, config, CONVERGED)?
-    };
-    let solution = summarise(views, &fit)?;
-    Ok(drop_collinear(views, solution, config))
+    for (lane, out) in out.iter_mut().enumerate() {
+        let status = fates.status[lane];
+        *out = if status == EstimateStatus::Ok { Ok(summary.lane(lane)) } else { Err(status) };
+    }
 }
 
 /// Plain rays, re-weighted once with the solution's own depths.
-fn ray_start(views: &Views, config: &TriangulationConfig) -> Option<DVec3> {
-    if !config.depth_weighting {
-        return views.rays(DVec3::ZERO, RayWeights::Plain).solve();
+#[inline(always)]
+fn ray_start<S: Simd>(views: &Views<S>, config: &TriangulationConfig, fates: &mut Fates<S>) -> [Real<S>; 3] {
+    let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
+    let mut point = [views.number(0.0); 3];
+    for _ in 0..if config.depth_weighting { 2 } else { 1 } {
+        let (next, solved) = views.meet(point, weights).solve(views.simd);
+        fates.fail(fates.alive.except(solved), EstimateStatus::Degenerate);
+        point = next;
     }
-    let first = views.rays(DVec3::ZERO, RayWeights::Depth).solve()?;
-    views.rays(first, RayWeights::Depth).solve()
+    point
 }
 
 /// Moves to the consensus and removes the views beyond the cut there.
-fn keep_consistent(views: &mut Views, start: DVec3, scales: Scales) -> Result<DVec3, EstimateStatus> {
-    let point = robust::locate(views, start, scales);
-    // Twice the cut: the point is not refined yet, and a view lost here never returns.
-    let cut2 = 4.0 * scales.cut * scales.cut;
-    let (mut kept, mut in_front) = (0, 0);
-    for error in views.errors(point) {
-        kept += usize::from(error <= cut2);
-        in_front += usize::from(error < f64::INFINITY);
-    }
-    if kept < 2 {
-        let hidden = in_front < 2;
-        return Err(if hidden { EstimateStatus::BehindCamera } else { EstimateStatus::Residual });
-    }
-    if kept < views.len() {
-        views.remove_where(point, |error| !(error <= cut2));
-    }
-    Ok(point)
-}
-
-/// Redescending rounds: drop the views beyond the cut, refine on the rest.
-fn settle(
-    views: &mut Views,
-    mut fit: Fit,
-    config: &TriangulationConfig,
+#[inline(always)]
+fn keep_consistent<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
     scales: Scales,
-) -> Result<Fit, EstimateStatus> {
-    let cut2 = scales.cut * scales.cut;
-    while let Some(worst) = worst_beyond(views, fit.point, cut2) {
-        if views.len() <= 2 {
-            return Err(EstimateStatus::Residual);
-        }
-        views.remove(|view| view == worst);
-        fit = refine(views, fit.point, config, ROUGH)?;
+    fates: &mut Fates<S>,
+) -> [Real<S>; 3] {
+    let point = robust::locate(views, fates.alive, start, scales);
+    let cut2 = views.number(scales.cut * scales.cut);
+    let survey = views.survey(point, cut2);
+    let two = views.number(2.0);
+    let lost = two.above(survey.near);
+    let hidden = lost & two.above(survey.in_front);
+    fates.fail(hidden, EstimateStatus::BehindCamera);
+    fates.fail(lost, EstimateStatus::Residual);
+    let inconsistent = fates.alive & views.count.above(survey.near);
+    if inconsistent.any() {
+        // Twice the cut: the point is not refined yet, and a view lost here never returns.
+        views.remove_beyond(inconsistent, point, views.number(4.0) * cut2);
     }
-    if config.refine {
-        Ok(gauss_newton(views, fit, CONVERGED))
-    } else {
-        refine(views, fit.point, config, CONVERGED)
-    }
-}
-
-fn worst_beyond(views: &mut Views, point: DVec3, cut2: f64) -> Option<usize> {
-    let errors = views.errors(point).enumerate();
-    errors.filter(|(_, e)| *e > cut2).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
-}
-
-/// The least-squares point of the given views, from `start`.
-fn refine(
-    views: &Views,
-    start: DVec3,
-    config: &TriangulationConfig,
-    tolerance: f64,
-) -> Result<Fit, EstimateStatus> {
-    if config.refine {
-        let (normal, cost) = views.reprojection(start).ok_or(EstimateStatus::BehindCamera)?;
-        return Ok(gauss_newton(views, Fit { point: start, normal, cost }, tolerance));
-    }
-    let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
-    let point = views.rays(start, weights).solve().unwrap_or(start);
-    Ok(Fit { point, normal: views.rays(point, RayWeights::Depth), cost: views.ray_cost(point) })
+    point
 }
 
 /// Gauss-Newton steps, at most; four suffice from the rays' solution, the rest is for narrow baselines.
-const MAX_STEPS: usize = 20;
+const MAX_STEPS: f64 = 20.0;
 /// Relative step (of the distance to the cameras) at which the iteration has converged: nanometres at 1 m, and what is
 /// left is a thousandth of the last step.
 const CONVERGED: f64 = 1e-9;
 /// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
 const ROUGH: f64 = 1e-6;
 
-/// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt).
-fn gauss_newton(views: &Views, start: Fit, tolerance: f64) -> Fit {
-    let (mut best, mut damping) = (start, 0.0_f64);
-    for _ in 0..MAX_STEPS {
-        let Some(step) = best.normal.damped(damping).solve() else { break };
-        let point = best.point + step;
-        let small = step.length() <= tolerance * views.scale;
-        match views.reprojection(point) {
-            Some((normal, cost)) if cost <= best.cost => {
-                best = Fit { point, normal, cost };
-                damping = if damping > 1e-6 { damping * 0.1 } else { 0.0 };
-            }
-            _ => damping = (damping * 10.0).max(1e-3),
-        }
-        if small {
-            break;
+/// The least-squares points, from `start`. With a cut, in redescending rounds: drop the worst view beyond it, refine on
+/// the rest.
+#[inline(always)]
+fn settle<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    config: &TriangulationConfig,
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    if config.refine {
+        gauss_newton(views, start, cut2, fates)
+    } else {
+        rays_only(views, start, config, cut2, fates)
+    }
+}
+
+/// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt). Every lane is in a
+/// round of its own: roughly converged, it removes a view and begins anew, or goes on to the end.
+#[inline(always)]
+fn gauss_newton<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    let simd = views.simd;
+    let (zero, one) = (views.number(0.0), views.number(1.0));
+    let (mut fit, hidden) = views.reproject(start);
+    fates.fail(hidden, EstimateStatus::BehindCamera);
+    let mut running = fates.alive;
+    let mut rough = if cut2.is_some() { running } else { Truth::nowhere(simd) };
+    let (mut damping, mut steps) = (zero, zero);
+    // Lanes that lost a view: they look again from where they are before they step on.
+    let mut renewed = Truth::nowhere(simd);
+    while running.any() {
+        let (step, solved) = fit.normal.damped(simd, damping).solve(simd);
+        let stepping = (running & solved).except(renewed);
+        let trial_point = stepping.select3(plus(fit.point, step), fit.point);
+        let (trial, hidden) = views.reproject(trial_point);
+        let better = (stepping & trial.cost.up_to(fit.cost)).except(hidden);
+        let worse = stepping.except(better);
+        fit = Fit::select(better | renewed, trial, fit);
+        let less = damping.above(views.number(1e-6)).select(damping * views.number(0.1), zero);
+        let more = (damping * views.number(10.0)).or_greater(views.number(1e-3));
+        damping = better.select(less, worse.select(more, damping));
+        steps = stepping.select(steps + one, steps);
+        let tolerance = rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale;
+        let small = stepping & dot(step, step).sqrt().up_to(tolerance);
+        let unsolved = running.except(solved).except(renewed);
+        let ended = small | unsolved | (stepping & views.number(MAX_STEPS).up_to(steps));
+        running = running.except(ended.except(rough));
+        renewed = Truth::nowhere(simd);
+        let landed = ended & rough;
+        if let Some(cut2) = cut2
+            && landed.any()
+        {
+            let beyond = landed & fit.worst.above(views.number(cut2));
+            let lost = beyond & views.count.up_to(views.number(2.0));
+            fates.fail(lost, EstimateStatus::Residual);
+            running = running.except(lost);
+            renewed = beyond.except(lost);
+            views.remove(renewed, fit.worst_row);
+            rough = rough.except(landed.except(beyond));
+            damping = landed.select(zero, damping);
+            steps = landed.select(zero, steps);
         }
     }
-    best
+    fit
+}
+
+/// As [`gauss_newton`] with the weighted rays alone: a re-weighting a round.
+#[inline(always)]
+fn rays_only<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    config: &TriangulationConfig,
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    let simd = views.simd;
+    let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
+    let mut point = start;
+    let mut moving = fates.alive;
+    let mut survey = None;
+    loop {
+        let (next, solved) = views.meet(point, weights).solve(simd);
+        point = (moving & solved).select3(next, point);
+        let Some(cut2) = cut2.filter(|_| survey.is_none()) else { break };
+        let found = views.survey(point, views.number(cut2));
+        moving = fates.alive & found.worst.above(views.number(cut2));
+        let lost = moving & views.count.up_to(views.number(2.0));
+        fates.fail(lost, EstimateStatus::Residual);
+        moving = moving.except(lost);
+        views.remove(moving, found.worst_row);
+        if !moving.any() {
+            moving = fates.alive;
+            survey = Some(found);
+        }
+    }
+    let zero = views.number(0.0);
+    let normal = views.meet(point, RayWeights::Depth);
+    Fit { point, normal, cost: views.ray_cost(point), worst: zero, worst_row: zero }
 }
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
-fn summarise(views: &Views, fit: &Fit) -> Result<Solution, EstimateStatus> {
-    let (n, mean) = (views.len(), views.mean_weight());
-    if !fit.cost.is_finite() {
-        return Err(EstimateStatus::BehindCamera);
+#[inline(always)]
+fn summarise<S: Simd>(views: &Views<S>, fit: &Fit<S>, fates: &mut Fates<S>) -> Summary<S> {
+    let mean = views.mean_weight();
+    fates.fail(fates.alive.except(fit.cost.finite()), EstimateStatus::BehindCamera);
+    let (mut unit_covariance, sound) = fit.normal.inverse(views.simd);
+    fates.fail(fates.alive.except(sound), EstimateStatus::Degenerate);
+    for entry in &mut unit_covariance {
+        *entry = *entry * mean;
     }
-    let unit_covariance = fit.normal.inverse().ok_or(EstimateStatus::Degenerate)? * mean;
-    let residuals = fit.cost / mean;
-    Ok(Solution { step: fit.point, unit_covariance, residuals, degrees: 2.0 * n as f64 - 3.0, views: n })
+    Summary { step: fit.point, unit_covariance, residuals: fit.cost / mean, views: views.count }
+}
+
+impl<S: Simd> Summary<S> {
+    /// Degrees of freedom, 2 V - 3.
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> Solution {
+        let [xx, xy, xz, yy, yz, zz] = self.unit_covariance;
+        let columns = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
+        let (mut step, mut unit_covariance) = ([0.0; 3], [0.0; 9]);
+        for k in 0..3 {
+            step[k] = self.step[k].lane(lane);
+        }
+        for k in 0..9 {
+            unit_covariance[k] = columns[k].lane(lane);
+        }
+        let views = self.views.lane(lane);
+        Solution {
+            step: step.into(),
+            unit_covariance: DMat3::from_cols_array(&unit_covariance),
+            residuals: self.residuals.lane(lane),
+            degrees: 2.0 * views - 3.0,
+            views: views as usize,
+        }
+    }
+
+    #[inline(always)]
+    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+        let mut out = no;
+        out.step = place.select3(yes.step, no.step);
+        for k in 0..6 {
+            out.unit_covariance[k] = place.select(yes.unit_covariance[k], no.unit_covariance[k]);
+        }
+        out.residuals = place.select(yes.residuals, no.residuals);
+        out.views = place.select(yes.views, no.views);
+        out
+    }
+
+    /// Standard deviation along a unit vector (m), for a noise variance (px^2).
+    #[inline(always)]
+    fn sigma(&self, direction: [Real<S>; 3], variance: Real<S>) -> Real<S> {
+        let [xx, xy, xz, yy, yz, zz] = self.unit_covariance;
+        let across = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+        let along = [dot(across[0], direction), dot(across[1], direction), dot(across[2], direction)];
+        (variance * dot(direction, along)).sqrt()
+    }
 }
 
 /// Discards the views whose ray is nearly parallel to the motion (Algorithm 1, line 22) and solves again.
-fn drop_collinear(views: &mut Views, solution: Solution, config: &TriangulationConfig) -> Solution {
-    let length = solution.step.length();
-    if config.collinear_degrees == 0.0 || length == 0.0 {
-        return solution;
-    }
-    let direction = solution.step / length;
+#[inline(always)]
+fn drop_collinear<S: Simd>(
+    views: &mut Views<S>,
+    first: Summary<S>,
+    config: &TriangulationConfig,
+    fates: &Fates<S>,
+) -> Summary<S> {
+    let (zero, one) = (views.number(0.0), views.number(1.0));
+    let length = dot(first.step, first.step).sqrt();
+    let direction = [first.step[0] / length, first.step[1] / length, first.step[2] / length];
     // Without a pooled scale yet, 1 px counts as much as the Gaussian's own residuals.
-    let variance = (1.0 + solution.residuals) / (1.0 + solution.degrees);
-    let sigma = (variance * direction.dot(solution.unit_covariance * direction)).sqrt();
-    let limit = config.collinear_degrees.to_radians().cos();
-    let along: Vec<bool> = (0..views.len()).map(|v| !(views.ray(v).dot(direction).abs() <= limit)).collect();
-    let remaining = along.iter().filter(|a| !**a).count();
-    if length < config.collinear_min_sigma * sigma || remaining < 2 || remaining == views.len() {
-        return solution;
+    let degrees = views.number(2.0) * first.views - views.number(3.0);
+    let variance = (one + first.residuals) / (one + degrees);
+    let shortest = views.number(config.collinear_min_sigma) * first.sigma(direction, variance);
+    let limit = views.number(config.collinear_degrees.to_radians().cos());
+    let mut remaining = zero;
+    for (row, ray) in views.rows.iter_mut().zip(&views.rays) {
+        let across = row.weight.above(zero) & dot(*ray, direction).magnitude().up_to(limit);
+        row.weight = across.select(row.weight, zero);
+        remaining = remaining + across.select(one, zero);
     }
-    views.remove(|view| along[view]);
+    let fewer = views.number(1.5).up_to(remaining) & first.views.above(remaining);
+    let lanes = (fates.alive & length.above(zero) & fewer).except(shortest.above(length));
+    if !lanes.any() {
+        return first;
+    }
+    views.count = remaining;
     // Fewer views may no longer fix the point; then the solution with all of them stands.
-    let again = refine(views, solution.step, config, CONVERGED);
-    again.and_then(|fit| summarise(views, &fit)).unwrap_or(solution)
+    let mut again = Fates { alive: lanes, status: fates.status };
+    let fit = settle(views, first.step, config, None, &mut again);
+    let second = summarise(views, &fit, &mut again);
+    Summary::select(again.alive, second, first)
+}
+
+impl<S: Simd> Fit<S> {
+    #[inline(always)]
+    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+        Self {
+            point: place.select3(yes.point, no.point),
+            normal: Normal::select(place, yes.normal, no.normal),
+            cost: place.select(yes.cost, no.cost),
+            worst: place.select(yes.worst, no.worst),
+            worst_row: place.select(yes.worst_row, no.worst_row),
+        }
+    }
 }
