@@ -25,7 +25,7 @@ impl<S: Simd> Normal<S> {
         Self { a: [Real::all(simd, 0.0); 6], b: [Real::all(simd, 0.0); 3] }
     }
 
-    /// Adds `j j^T w` and `j e w`.
+    /// Adds `j j^T w` and `j e`.
     #[inline(always)]
     pub fn add_row(&mut self, j: [Real<S>; 3], weight: Real<S>, error: Real<S>) {
         let weighted = [j[0] * weight, j[1] * weight, j[2] * weight];
@@ -37,7 +37,7 @@ impl<S: Simd> Normal<S> {
         a[4] = weighted[1].times_plus(j[2], a[4]);
         a[5] = weighted[2].times_plus(j[2], a[5]);
         for k in 0..3 {
-            b[k] = weighted[k].times_plus(error, b[k]);
+            b[k] = j[k].times_plus(error, b[k]);
         }
     }
 

@@ -1,6 +1,7 @@
 //! The loops over views.
 
 use crate::normal::Normal;
+use crate::robust::NEAR2;
 use crate::real::{Real, Truth, dot, minus};
 use crate::views::{LensLanes, Row, Views};
 use pulp::{Simd, WithSimd};
@@ -215,15 +216,16 @@ impl<S: Simd> WithSimd for ReprojectionPass<'_, '_, S> {
             let near = one / seen.select(z, one);
             let mut error2 = zero;
             for (axis, slope) in [(0, x * near), (1, y * near)] {
-                let (across, away) = (lens.rotation[axis], lens.rotation[2]);
-                let (focal, scale) = (lens.focal[axis], lens.focal[axis] * near);
-                let error = row.target[axis] - focal * slope;
-                let jacobian = [
-                    scale * (across[0] - slope * away[0]),
-                    scale * (across[1] - slope * away[1]),
-                    scale * (across[2] - slope * away[2]),
+                let (across, away, focal) = (lens.rotation[axis], lens.rotation[2], lens.focal[axis]);
+                let error = slope.times_minus(focal, row.target[axis]);
+                // The derivative is `focal / z` times this.
+                let j = [
+                    slope.times_minus(away[0], across[0]),
+                    slope.times_minus(away[1], across[1]),
+                    slope.times_minus(away[2], across[2]),
                 ];
-                fit.normal.add_row(jacobian, weight, error);
+                let scale = focal * near;
+                fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
                 error2 = error.times_plus(error, error2);
             }
             fit.cost = weight.times_plus(error2, fit.cost);
@@ -247,8 +249,8 @@ impl<S: Simd> WithSimd for SurveyPass<'_, '_, S> {
     #[inline(always)]
     fn with_simd<T: Simd>(self, _: T) -> Survey<S> {
         let Self { views, point, cut2 } = self;
-        let (zero, one, four) = (views.number(0.0), views.number(1.0), views.number(4.0));
-        let (limit2, infinity) = (four * cut2, views.number(f64::INFINITY));
+        let (zero, one, infinity) = (views.number(0.0), views.number(1.0), views.number(f64::INFINITY));
+        let limit2 = views.number(NEAR2) * cut2;
         let mut out = Survey {
             agreeing: zero,
             near: zero,

@@ -62,6 +62,12 @@ impl<S: Simd> Real<S> {
         Self { lanes: self.simd.mul_add_e_f64s(self.lanes, factor.lanes, addend.lanes), ..self }
     }
 
+    /// `minuend - self * factor`, fused where the instruction set can.
+    #[inline(always)]
+    pub fn times_minus(self, factor: Self, minuend: Self) -> Self {
+        Self { lanes: self.simd.negate_mul_add_e_f64s(self.lanes, factor.lanes, minuend.lanes), ..self }
+    }
+
     /// Where this is greater than `bound`; NaN is not.
     #[inline(always)]
     pub fn above(self, bound: Self) -> Truth<S> {

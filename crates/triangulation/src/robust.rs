@@ -1,5 +1,5 @@
 use crate::normal::Normal;
-use crate::passes::{RayWeights, squared_error};
+use crate::passes::{RayWeights, Survey, squared_error};
 use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
 use crate::views::{LensLanes, Views};
 use pulp::{Simd, WithSimd};
@@ -13,6 +13,8 @@ pub struct Scales {
     pub cut: f64,
 }
 
+/// Twice the cut, squared: the first guess is not refined yet, and a view lost there never returns.
+pub const NEAR2: f64 = 4.0;
 /// Iterations of the soft re-weighting; it only has to land in the basin of the inliers.
 const SOFT_STEPS: usize = 6;
 /// Relative step (of the distance to the cameras) at which it has landed: a fifth of a pixel with f = 2000 px, where the
@@ -23,7 +25,7 @@ const SURE: f64 = 5.0;
 /// Pairs of views tried when the re-weighted solution still has outliers. With 15 % outliers 72 % of pairs are clean.
 const MAX_PAIRS: usize = 36;
 
-/// Points near the views that agree with each other, from `start`, in the given lanes.
+/// Points near the views that agree with each other, from `start`, in the given lanes, and the residuals there.
 ///
 /// Soft re-weighting first; when too many views remain beyond the cut, the intersections of pairs of views compete with
 /// it on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
@@ -33,7 +35,7 @@ pub fn locate<S: Simd>(
     lanes: Truth<S>,
     start: [Real<S>; 3],
     scales: Scales,
-) -> [Real<S>; 3] {
+) -> ([Real<S>; 3], Survey<S>) {
     let soft = soften(views, lanes, start, scales.soft);
     let cut2 = views.number(scales.cut * scales.cut);
     let survey = views.survey(soft, cut2);
@@ -42,7 +44,7 @@ pub fn locate<S: Simd>(
     let sure = views.number(3.0).above(views.count) | views.count.up_to(survey.agreeing) | most;
     let unsure = lanes.except(sure);
     if !unsure.any() {
-        return soft;
+        return (soft, survey);
     }
     let (mut best, mut least) = (soft, survey.truncated);
     for lane in unsure.lanes() {
@@ -54,7 +56,8 @@ pub fn locate<S: Simd>(
     }
     let polished = soften(views, unsure, best, scales.soft);
     let better = views.survey(polished, cut2).truncated.up_to(least);
-    better.select3(polished, best)
+    let point = better.select3(polished, best);
+    (point, views.survey(point, cut2))
 }
 
 /// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`, in the given lanes.

@@ -40,6 +40,41 @@ struct Fates<S: Simd> {
 }
 
 impl<S: Simd> Fates<S> {
+    /// Every lane with a Gaussian is alive.
+    #[inline(always)]
+    fn new(views: &Views<S>) -> Self {
+        let alive = views.count.above(views.number(0.0));
+        let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
+        alive.lanes().for_each(|lane| status[lane] = EstimateStatus::Ok);
+        Self { alive, status }
+    }
+
+    /// The lanes that have a first guess are alive.
+    #[inline(always)]
+    fn after(views: &Views<S>, starts: &[Start]) -> (Self, [Real<S>; 3]) {
+        let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
+        let (mut alive, mut points) = ([0.0; MAX_LANES], [[0.0; MAX_LANES]; 3]);
+        for (lane, start) in starts.iter().enumerate() {
+            match start.point {
+                Ok(point) => {
+                    (alive[lane], status[lane]) = (1.0, EstimateStatus::Ok);
+                    (0..3).for_each(|axis| points[axis][lane] = point[axis]);
+                }
+                Err(reason) => status[lane] = reason,
+            }
+        }
+        let mut point = [views.number(0.0); 3];
+        for axis in 0..3 {
+            point[axis] = Real::from_lanes(views.simd, &points[axis]);
+        }
+        (Self { alive: Real::from_lanes(views.simd, &alive).above(views.number(0.0)), status }, point)
+    }
+
+    #[inline(always)]
+    fn outcome(&self, lane: usize) -> Result<(), EstimateStatus> {
+        if self.status[lane] == EstimateStatus::Ok { Ok(()) } else { Err(self.status[lane]) }
+    }
+
     /// Gives up the lanes among those alive.
     #[inline(always)]
     fn fail(&mut self, lanes: Truth<S>, status: EstimateStatus) {
@@ -51,28 +86,58 @@ impl<S: Simd> Fates<S> {
     }
 }
 
-/// Solves for the Gaussians whose observations are `views`; views that contradict the others are removed from it.
+/// Where a Gaussian's solution begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    /// The point (m from the previous mean), or why there is none.
+    pub point: Result<[f64; 3], EstimateStatus>,
+    /// Views that will probably be removed one after another.
+    pub doubtful: u32,
+}
+
+impl Start {
+    /// No Gaussian.
+    pub const NONE: Self = Self { point: Err(EstimateStatus::TooFewViews), doubtful: 0 };
+}
+
+/// First guesses for the Gaussians whose observations are `views`: where most of them agree.
 #[inline(always)]
-pub fn solve<S: Simd>(
+pub fn begin<S: Simd>(views: &Views<S>, config: &TriangulationConfig, scales: Scales, out: &mut [Start]) {
+    let mut fates = Fates::new(views);
+    fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
+    let mut point = ray_start(views, config, &mut fates);
+    let mut doubtful = views.number(0.0);
+    if config.robust {
+        (point, doubtful) = consensus(views, point, scales, &mut fates);
+    }
+    for (lane, out) in out.iter_mut().enumerate() {
+        let start = [point[0].lane(lane), point[1].lane(lane), point[2].lane(lane)];
+        *out = Start { point: fates.outcome(lane).map(|()| start), doubtful: doubtful.lane(lane) as u32 };
+    }
+}
+
+/// Solves for the Gaussians whose observations are `views`, from their first guesses; views that contradict the others are
+/// removed from it.
+#[inline(always)]
+pub fn finish<S: Simd>(
     views: &mut Views<S>,
+    starts: &[Start],
     config: &TriangulationConfig,
     scales: Scales,
     out: &mut [Result<Solution, EstimateStatus>],
 ) {
-    let enough = views.number(1.0).above(views.number(0.0));
-    let mut fates = Fates { alive: enough, status: [EstimateStatus::Ok; MAX_LANES] };
-    fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
-    let start = ray_start(views, config, &mut fates);
-    let start = if config.robust { keep_consistent(views, start, scales, &mut fates) } else { start };
+    let (mut fates, point) = Fates::after(views, starts);
     let cut2 = config.robust.then_some(scales.cut * scales.cut);
-    let fit = settle(views, start, config, cut2, &mut fates);
+    if let Some(cut2) = cut2 {
+        views.remove_beyond(fates.alive, point, views.number(robust::NEAR2 * cut2));
+    }
+    let fit = settle(views, point, config, cut2, &mut fates);
     let mut summary = summarise(views, &fit, &mut fates);
     if config.collinear_degrees != 0.0 {
         summary = drop_collinear(views, summary, config, &fates);
     }
     for (lane, out) in out.iter_mut().enumerate() {
-        let status = fates.status[lane];
-        *out = if status == EstimateStatus::Ok { Ok(summary.lane(lane)) } else { Err(status) };
+        *out = fates.outcome(lane).map(|()| summary.lane(lane));
     }
 }
 
@@ -89,28 +154,20 @@ fn ray_start<S: Simd>(views: &Views<S>, config: &TriangulationConfig, fates: &mu
     point
 }
 
-/// Moves to the consensus and removes the views beyond the cut there.
+/// Moves to the consensus, which needs two views near it; also the number of views between the cut and twice the cut there.
 #[inline(always)]
-fn keep_consistent<S: Simd>(
-    views: &mut Views<S>,
+fn consensus<S: Simd>(
+    views: &Views<S>,
     start: [Real<S>; 3],
     scales: Scales,
     fates: &mut Fates<S>,
-) -> [Real<S>; 3] {
-    let point = robust::locate(views, fates.alive, start, scales);
-    let cut2 = views.number(scales.cut * scales.cut);
-    let survey = views.survey(point, cut2);
+) -> ([Real<S>; 3], Real<S>) {
+    let (point, survey) = robust::locate(views, fates.alive, start, scales);
     let two = views.number(2.0);
     let lost = two.above(survey.near);
-    let hidden = lost & two.above(survey.in_front);
-    fates.fail(hidden, EstimateStatus::BehindCamera);
+    fates.fail(lost & two.above(survey.in_front), EstimateStatus::BehindCamera);
     fates.fail(lost, EstimateStatus::Residual);
-    let inconsistent = fates.alive & views.count.above(survey.near);
-    if inconsistent.any() {
-        // Twice the cut: the point is not refined yet, and a view lost here never returns.
-        views.remove_beyond(inconsistent, point, views.number(4.0) * cut2);
-    }
-    point
+    (point, survey.near - survey.agreeing)
 }
 
 /// Gauss-Newton steps, at most; four suffice from the rays' solution, the rest is for narrow baselines.

@@ -2,7 +2,7 @@ use crate::config::TriangulationConfig;
 use crate::passes::RayWeights;
 use crate::real::MAX_LANES;
 use crate::robust::{self, Scales};
-use crate::solve::{Solution, solve};
+use crate::solve::{Solution, Start, begin, finish};
 use crate::views::{Lens, Views};
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
 use glam::{DMat3, DVec3};
@@ -89,7 +89,7 @@ impl Triangulator for WeightedRays {
         out.covariances.clear();
         out.status.clear();
         for (solution, &mean) in solutions.iter().zip(previous) {
-            let (step, covariance, status) = finish(solution, pooled, &self.config);
+            let (step, covariance, status) = accept(solution, pooled, &self.config);
             out.means.push(mean + step);
             out.covariances.push(covariance);
             out.status.push(status);
@@ -180,13 +180,27 @@ impl WithSimd for SolveChunk<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { batch, scales, first, out } = self;
+        let Batch { config, previous, observations, .. } = *batch;
         let mut views = Views::new(simd, batch.lenses);
         let order = batch.by_visibility(first, out.len());
-        let mut solutions = [Err(EstimateStatus::TooFewViews); MAX_LANES];
+        let mut begun = Vec::with_capacity(order.len());
         for group in order.chunks(S::F64_LANES) {
-            views.gather(batch.previous, batch.observations, group);
-            solve(&mut views, batch.config, scales, &mut solutions[..group.len()]);
-            for (&i, solution) in group.iter().zip(solutions) {
+            let mut starts = [Start::NONE; MAX_LANES];
+            views.gather(previous, observations, group);
+            begin(&views, config, scales, &mut starts[..group.len()]);
+            begun.extend(group.iter().copied().zip(starts));
+        }
+        begun.sort_by_key(|(_, start)| start.doubtful);
+        for group in begun.chunks(S::F64_LANES) {
+            let (mut gaussians, mut starts) = ([0; MAX_LANES], [Start::NONE; MAX_LANES]);
+            for (k, &(i, start)) in group.iter().enumerate() {
+                (gaussians[k], starts[k]) = (i, start);
+            }
+            let n = group.len();
+            let mut solutions = [Err(EstimateStatus::TooFewViews); MAX_LANES];
+            views.gather(previous, observations, &gaussians[..n]);
+            finish(&mut views, &starts[..n], config, scales, &mut solutions[..n]);
+            for (&(i, _), solution) in group.iter().zip(solutions) {
                 out[i as usize - first] = solution;
             }
         }
@@ -228,7 +242,7 @@ fn pooled_variance(solutions: &[Outcome]) -> f64 {
 }
 
 /// Shrinks the variance, scales the covariance and applies the acceptance limits.
-fn finish(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
+fn accept(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
     let failed = |status| (DVec3::ZERO, DMat3::ZERO, status);
     let solution = match outcome {
         Ok(solution) => solution,
