@@ -1,8 +1,8 @@
 //! The loops over views.
 
 use crate::normal::Normal;
-use crate::robust::NEAR2;
 use crate::real::{Real, Truth, dot, minus};
+use crate::robust::NEAR2;
 use crate::views::{LensLanes, Row, Views};
 use pulp::{Simd, WithSimd};
 
@@ -71,6 +71,29 @@ impl<S: Simd> Views<'_, S> {
         self.simd.vectorize(SurveyPass { views: self, point, cut2 })
     }
 
+    /// Removes the worst view of the lanes and takes its share out of the fit's sums; which view is the worst now is not
+    /// known then.
+    #[inline(always)]
+    pub fn remove_worst(&mut self, lanes: Truth<S>, fit: &mut Fit<S>) {
+        let zero = self.number(0.0);
+        let mut gone = Fit { normal: Normal::zero(self.simd), cost: zero, ..*fit };
+        for lane in lanes.lanes() {
+            let k = fit.worst_row.lane(lane) as usize;
+            let mut row = Row { weight: zero, ..self.rows[k] };
+            row.weight.set_lane(lane, self.rows[k].weight.lane(lane));
+            self.rows[k].weight.set_lane(lane, 0.0);
+            add_view(self.simd, &self.lens(&row), &row, fit.point, &mut gone);
+        }
+        self.count = lanes.select(self.count - self.number(1.0), self.count);
+        for k in 0..6 {
+            fit.normal.a[k] = fit.normal.a[k] - gone.normal.a[k];
+        }
+        fit.normal.b = minus(fit.normal.b, gone.normal.b);
+        // With what rounding may have taken from a small rest.
+        let rest = (fit.cost - gone.cost) + fit.cost * self.number(1e-13);
+        fit.cost = lanes.select(rest, fit.cost);
+    }
+
     /// Removes the views whose squared residual at `point` is not within the limit.
     #[inline(always)]
     pub fn remove_beyond(&mut self, lanes: Truth<S>, point: [Real<S>; 3], limit2: Real<S>) {
@@ -111,11 +134,11 @@ impl<S: Simd> Views<'_, S> {
     pub fn ray_cost(&self, point: [Real<S>; 3]) -> Real<S> {
         let (zero, infinity) = (self.number(0.0), self.number(f64::INFINITY));
         let mut cost = zero;
-        for (row, ray) in self.rows.iter().zip(&self.rays) {
-            let lens = self.lens(row);
+        for row in &self.rows {
+            let (lens, ray) = (self.lens(row), row.ray);
             let offset = minus(point, lens.center);
             let z = dot(lens.rotation[2], offset);
-            let along = dot(*ray, offset);
+            let along = dot(ray, offset);
             // The vector, not the difference of squares: that would round to less than nothing.
             let across = minus(offset, [ray[0] * along, ray[1] * along, ray[2] * along]);
             let focal2 = lens.focal[0] * lens.focal[1];
@@ -181,14 +204,46 @@ impl<S: Simd> WithSimd for RayPass<'_, '_, S> {
     #[inline(always)]
     fn with_simd<T: Simd>(self, _: T) -> Normal<S> {
         let mut normal = Normal::zero(self.views.simd);
-        for (row, ray) in self.views.rows.iter().zip(&self.views.rays) {
+        for row in &self.views.rows {
             let lens = self.views.lens(row);
             let weight =
                 if let RayWeights::Plain = self.weights { row.weight } else { self.weight(row, &lens) };
-            normal.add_line(*ray, lens.center, weight);
+            normal.add_line(row.ray, lens.center, weight);
         }
         normal
     }
+}
+
+/// Adds a view to the sums of a fit, where the point is in front of its camera; its squared residual (px^2).
+#[inline(always)]
+fn add_view<S: Simd>(
+    simd: S,
+    lens: &LensLanes<S>,
+    row: &Row<S>,
+    point: [Real<S>; 3],
+    fit: &mut Fit<S>,
+) -> (Real<S>, Truth<S>) {
+    let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+    let [x, y, z] = lens.turn(minus(point, lens.center));
+    let seen = row.weight.above(zero) & z.above(zero);
+    let weight = seen.select(row.weight, zero);
+    let near = one / seen.select(z, one);
+    let mut error2 = zero;
+    for (axis, slope) in [(0, x * near), (1, y * near)] {
+        let (across, away, focal) = (lens.rotation[axis], lens.rotation[2], lens.focal[axis]);
+        let error = slope.times_minus(focal, row.target[axis]);
+        // The derivative is `focal / z` times this.
+        let j = [
+            slope.times_minus(away[0], across[0]),
+            slope.times_minus(away[1], across[1]),
+            slope.times_minus(away[2], across[2]),
+        ];
+        let scale = focal * near;
+        fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
+        error2 = error.times_plus(error, error2);
+    }
+    fit.cost = weight.times_plus(error2, fit.cost);
+    (error2, seen)
 }
 
 struct ReprojectionPass<'a, 'b, S: Simd> {
@@ -203,32 +258,12 @@ impl<S: Simd> WithSimd for ReprojectionPass<'_, '_, S> {
     fn with_simd<T: Simd>(self, _: T) -> (Fit<S>, Truth<S>) {
         let Self { views, point } = self;
         let simd = views.simd;
-        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+        let zero = Real::all(simd, 0.0);
         let mut fit = Fit { point, normal: Normal::zero(simd), cost: zero, worst: zero, worst_row: zero };
         let mut hidden = Truth::nowhere(simd);
         for (k, row) in views.rows.iter().enumerate() {
-            let lens = views.lens(row);
-            let [x, y, z] = lens.turn(minus(point, lens.center));
-            let counts = row.weight.above(zero);
-            let seen = counts & z.above(zero);
-            hidden = hidden | counts.except(seen);
-            let weight = seen.select(row.weight, zero);
-            let near = one / seen.select(z, one);
-            let mut error2 = zero;
-            for (axis, slope) in [(0, x * near), (1, y * near)] {
-                let (across, away, focal) = (lens.rotation[axis], lens.rotation[2], lens.focal[axis]);
-                let error = slope.times_minus(focal, row.target[axis]);
-                // The derivative is `focal / z` times this.
-                let j = [
-                    slope.times_minus(away[0], across[0]),
-                    slope.times_minus(away[1], across[1]),
-                    slope.times_minus(away[2], across[2]),
-                ];
-                let scale = focal * near;
-                fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
-                error2 = error.times_plus(error, error2);
-            }
-            fit.cost = weight.times_plus(error2, fit.cost);
+            let (error2, seen) = add_view(simd, &views.lens(row), row, point, &mut fit);
+            hidden = hidden | row.weight.above(zero).except(seen);
             let worse = seen & fit.worst.up_to(error2);
             fit.worst = worse.select(error2, fit.worst);
             fit.worst_row = worse.select(Real::all(simd, k as f64), fit.worst_row);

@@ -102,7 +102,7 @@ impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
     #[inline(always)]
     fn with_simd<T: Simd>(self, _: T) -> Self::Output {
         let sights = self.sights();
-        let mut pairs = pairs(sights.len());
+        let mut pairs = Pairs::of(sights.len());
         let (mut least, mut best) = (self.least.lane(self.lane), None);
         loop {
             let mut batch = [(0, 0); MAX_LANES];
@@ -116,7 +116,7 @@ impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
                 return best;
             }
             let (points, sound) = self.intersect(&sights, &batch);
-            let costs = self.truncated(&sights, points).to_lanes();
+            let costs = self.truncated(&sights, points, least).to_lanes();
             for lane in sound.lanes() {
                 if lane < used && costs[lane] < least {
                     least = costs[lane];
@@ -137,13 +137,14 @@ impl<S: Simd> PairSearch<'_, '_, S> {
     #[inline(always)]
     fn sights(&self) -> Vec<Sight> {
         let Self { views, lane, .. } = *self;
+        let origin = self.previous();
         let mut out = Vec::with_capacity(views.rows.len());
-        for (row, ray) in views.rows.iter().zip(&views.rays) {
+        for row in &views.rows {
             let weight = row.weight.lane(lane);
             if weight > 0.0 {
                 let target = [row.target[0].lane(lane), row.target[1].lane(lane)];
-                let ray = [ray[0].lane(lane), ray[1].lane(lane), ray[2].lane(lane)];
-                let center = views.lenses[row.lens].center_from(self.previous());
+                let ray = [row.ray[0].lane(lane), row.ray[1].lane(lane), row.ray[2].lane(lane)];
+                let center = views.lenses[row.lens].center_from(origin);
                 out.push(Sight { lens: row.lens, target, weight, ray, center });
             }
         }
@@ -175,14 +176,17 @@ impl<S: Simd> PairSearch<'_, '_, S> {
         normal.solve(simd)
     }
 
-    /// `sum w min(r^2, cut^2)` of each point.
+    /// `sum w min(r^2, cut^2)` of each point; it only grows, so the rest is left out where no point is better than `least`.
     #[inline(always)]
-    fn truncated(&self, sights: &[Sight], points: [Real<S>; 3]) -> Real<S> {
+    fn truncated(&self, sights: &[Sight], points: [Real<S>; 3], least: f64) -> Real<S> {
         let simd = self.views.simd;
         let cut2 = Real::all(simd, self.cut2);
         let previous = all3(simd, self.previous());
         let mut cost = Real::all(simd, 0.0);
-        for sight in sights {
+        for (k, sight) in sights.iter().enumerate() {
+            if k % 8 == 0 && !Real::all(simd, least).above(cost).any() {
+                break;
+            }
             let lens = LensLanes::new(simd, &self.views.lenses[sight.lens], previous);
             let target = [Real::all(simd, sight.target[0]), Real::all(simd, sight.target[1])];
             let error = squared_error(simd, &lens, target, lens.turn(minus(points, lens.center)));
@@ -192,10 +196,32 @@ impl<S: Simd> PairSearch<'_, '_, S> {
     }
 }
 
-/// All pairs of `n` views, thinned evenly to at most [`MAX_PAIRS`].
-fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
-    let total = n * (n - 1) / 2;
-    let stride = total.div_ceil(MAX_PAIRS).max(1);
-    let all = (1..n).flat_map(move |gap| (0..n - gap).map(move |a| (a, a + gap)));
-    all.step_by(stride)
+/// All pairs of `n` views, neighbours first, thinned evenly to at most [`MAX_PAIRS`].
+struct Pairs {
+    views: usize,
+    stride: usize,
+    gap: usize,
+    a: usize,
+}
+
+impl Pairs {
+    fn of(views: usize) -> Self {
+        let all = views * (views - 1) / 2;
+        Self { views, stride: all.div_ceil(MAX_PAIRS).max(1), gap: 1, a: 0 }
+    }
+}
+
+impl Iterator for Pairs {
+    type Item = (usize, usize);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, usize)> {
+        while self.gap < self.views && self.a >= self.views - self.gap {
+            self.a -= self.views - self.gap;
+            self.gap += 1;
+        }
+        let pair = (self.a, self.a + self.gap);
+        self.a += self.stride;
+        (self.gap < self.views).then_some(pair)
+    }
 }

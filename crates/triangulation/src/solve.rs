@@ -211,27 +211,27 @@ fn gauss_newton<S: Simd>(
     let mut running = fates.alive;
     let mut rough = if cut2.is_some() { running } else { Truth::nowhere(simd) };
     let (mut damping, mut steps) = (zero, zero);
-    // Lanes that lost a view: they look again from where they are before they step on.
-    let mut renewed = Truth::nowhere(simd);
+    // Lanes that lost a view since the last full sum, and those of them that no step was found for: these sum once more
+    // where they are.
+    let (mut stale, mut again) = (Truth::nowhere(simd), Truth::nowhere(simd));
     while running.any() {
         let (step, solved) = fit.normal.damped(simd, damping).solve(simd);
-        let stepping = (running & solved).except(renewed);
-        let trial_point = stepping.select3(plus(fit.point, step), fit.point);
-        let (trial, hidden) = views.reproject(trial_point);
+        let stepping = (running & solved).except(again);
+        let (trial, hidden) = views.reproject(stepping.select3(plus(fit.point, step), fit.point));
         let better = (stepping & trial.cost.up_to(fit.cost)).except(hidden);
-        let worse = stepping.except(better);
-        fit = Fit::select(better | renewed, trial, fit);
+        fit = Fit::select(better | again, trial, fit);
+        stale = stale.except(better | again);
         let less = damping.above(views.number(1e-6)).select(damping * views.number(0.1), zero);
         let more = (damping * views.number(10.0)).or_greater(views.number(1e-3));
-        damping = better.select(less, worse.select(more, damping));
+        damping = better.select(less, stepping.select(more, damping));
         steps = stepping.select(steps + one, steps);
         let tolerance = rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale;
-        let small = stepping & dot(step, step).sqrt().up_to(tolerance);
-        let unsolved = running.except(solved).except(renewed);
-        let ended = small | unsolved | (stepping & views.number(MAX_STEPS).up_to(steps));
+        let small = dot(step, step).sqrt().up_to(tolerance) | views.number(MAX_STEPS).up_to(steps);
+        let ended = again | (stepping & small) | running.except(stepping);
         running = running.except(ended.except(rough));
-        renewed = Truth::nowhere(simd);
         let landed = ended & rough;
+        again = landed & stale;
+        let landed = landed.except(again);
         if let Some(cut2) = cut2
             && landed.any()
         {
@@ -239,8 +239,11 @@ fn gauss_newton<S: Simd>(
             let lost = beyond & views.count.up_to(views.number(2.0));
             fates.fail(lost, EstimateStatus::Residual);
             running = running.except(lost);
-            renewed = beyond.except(lost);
-            views.remove(renewed, fit.worst_row);
+            let fewer = beyond.except(lost);
+            if fewer.any() {
+                views.remove_worst(fewer, &mut fit);
+            }
+            stale = stale | fewer;
             rough = rough.except(landed.except(beyond));
             damping = landed.select(zero, damping);
             steps = landed.select(zero, steps);
@@ -358,8 +361,8 @@ fn drop_collinear<S: Simd>(
     let shortest = views.number(config.collinear_min_sigma) * first.sigma(direction, variance);
     let limit = views.number(config.collinear_degrees.to_radians().cos());
     let mut remaining = zero;
-    for (row, ray) in views.rows.iter_mut().zip(&views.rays) {
-        let across = row.weight.above(zero) & dot(*ray, direction).magnitude().up_to(limit);
+    for row in &mut views.rows {
+        let across = row.weight.above(zero) & dot(row.ray, direction).magnitude().up_to(limit);
         row.weight = across.select(row.weight, zero);
         remaining = remaining + across.select(one, zero);
     }

@@ -36,11 +36,14 @@ impl Lens {
 
 /// One view of all lanes' Gaussians.
 #[derive(Clone, Copy)]
+#[repr(align(64))]
 pub struct Row<S: Simd> {
     /// Its camera.
     pub lens: usize,
     /// Target less principal point (px); 0 where unobserved.
     pub target: [Real<S>; 2],
+    /// Unit viewing ray through the target; 0 where it was not asked for.
+    pub ray: [Real<S>; 3],
     /// Observation weight, scaled to mean 1 over the Gaussian's views; 0 = unobserved or removed.
     pub weight: Real<S>,
 }
@@ -52,8 +55,6 @@ pub struct Views<'a, S: Simd> {
     pub lenses: &'a [Lens],
     /// The views that any lane's Gaussian was observed in, in order.
     pub rows: Vec<Row<S>>,
-    /// (rows) unit viewing rays through the targets.
-    pub rays: Vec<[Real<S>; 3]>,
     /// Previous means (m).
     pub previous: [Real<S>; 3],
     /// Number of views left.
@@ -96,8 +97,14 @@ impl<'a, S: Simd> Views<'a, S> {
     #[inline(always)]
     pub fn new(simd: S, lenses: &'a [Lens]) -> Self {
         let zero = Real::all(simd, 0.0);
-        let (rows, rays) = (Vec::with_capacity(lenses.len()), Vec::with_capacity(lenses.len()));
-        Self { simd, lenses, rows, rays, previous: [zero; 3], count: zero, scale: zero }
+        Self {
+            simd,
+            lenses,
+            rows: Vec::with_capacity(lenses.len()),
+            previous: [zero; 3],
+            count: zero,
+            scale: zero,
+        }
     }
 
     #[inline(always)]
@@ -108,30 +115,37 @@ impl<'a, S: Simd> Views<'a, S> {
     /// Fills with the views that observed the given Gaussians, one a lane (the rest of the lanes none), weights scaled to
     /// mean 1.
     #[inline(always)]
-    pub fn gather(&mut self, previous: &[DVec3], observations: &Observations, gaussians: &[u32]) {
+    pub fn gather(&mut self, previous: &[DVec3], observations: &Observations, gaussians: &[u32], rays: bool) {
         let (zero, one) = (self.number(0.0), self.number(1.0));
-        let mut origins = [[0.0; MAX_LANES]; 3];
+        // Lanes without a Gaussian repeat the first, with no views.
+        let (mut places, mut used) = ([gaussians[0] as usize; MAX_LANES], [0.0; MAX_LANES]);
         for (lane, &i) in gaussians.iter().enumerate() {
+            (places[lane], used[lane]) = (i as usize, 1.0);
+        }
+        let used = Real::from_lanes(self.simd, &used).above(zero);
+        let mut origins = [[0.0; MAX_LANES]; 3];
+        for lane in 0..S::F64_LANES {
             for axis in 0..3 {
-                origins[axis][lane] = previous[i as usize][axis];
+                origins[axis][lane] = previous[places[lane]][axis];
             }
         }
         for axis in 0..3 {
             self.previous[axis] = Real::from_lanes(self.simd, &origins[axis]);
         }
         self.rows.clear();
-        self.rays.clear();
         let (mut sum, mut count, mut farthest) = (zero, zero, zero);
-        for (lens, camera) in self.lenses.iter().enumerate() {
-            let (row, observed) = self.row(lens, observations, gaussians);
+        for lens in 0..self.lenses.len() {
+            let (mut row, observed) = self.row(lens, observations, &places, used);
             if !observed.any() {
                 continue;
             }
             sum = sum + row.weight;
             count = count + observed.select(one, zero);
-            let parts = LensLanes::new(self.simd, camera, self.previous);
+            let parts = LensLanes::new(self.simd, &self.lenses[lens], self.previous);
             farthest = observed.select(farthest.or_greater(dot(parts.center, parts.center)), farthest);
-            self.rays.push(self.ray(&parts, row.target));
+            if rays {
+                row.ray = self.ray(&parts, row.target);
+            }
             self.rows.push(row);
         }
         self.scale = farthest.sqrt();
@@ -144,25 +158,32 @@ impl<'a, S: Simd> Views<'a, S> {
 
     /// A view as observed, and where it was.
     #[inline(always)]
-    fn row(&self, lens: usize, observations: &Observations, gaussians: &[u32]) -> (Row<S>, Truth<S>) {
+    fn row(
+        &self,
+        lens: usize,
+        observations: &Observations,
+        places: &[usize; MAX_LANES],
+        used: Truth<S>,
+    ) -> (Row<S>, Truth<S>) {
         let (mut x, mut y, mut weight): (Lanes, Lanes, Lanes) = Default::default();
         let first = lens * observations.gaussians;
         let entries = first..first + observations.gaussians;
         let (targets, weights) = (&observations.targets[entries.clone()], &observations.weights[entries]);
-        for (lane, &i) in gaussians.iter().enumerate().take(MAX_LANES) {
-            weight[lane] = weights[i as usize];
-            (x[lane], y[lane]) = targets[i as usize].into();
+        for lane in 0..S::F64_LANES {
+            weight[lane] = weights[places[lane]];
+            let target = targets[places[lane]];
+            (x[lane], y[lane]) = (target.x, target.y);
         }
         let (x, y) = (Real::from_lanes(self.simd, &x), Real::from_lanes(self.simd, &y));
         let weight = Real::from_lanes(self.simd, &weight);
         let zero = self.number(0.0);
-        let observed = weight.above(zero) & weight.finite() & x.finite() & y.finite();
+        let observed = used & weight.above(zero) & weight.finite() & x.finite() & y.finite();
         let principal = self.lenses[lens].principal;
         let target = [
             observed.select(x - self.number(principal.x), zero),
             observed.select(y - self.number(principal.y), zero),
         ];
-        (Row { lens, target, weight: observed.select(weight, zero) }, observed)
+        (Row { lens, target, ray: [zero; 3], weight: observed.select(weight, zero) }, observed)
     }
 
     /// Unit rays through the targets.

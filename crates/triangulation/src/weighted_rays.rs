@@ -186,10 +186,11 @@ impl WithSimd for SolveChunk<'_> {
         let mut begun = Vec::with_capacity(order.len());
         for group in order.chunks(S::F64_LANES) {
             let mut starts = [Start::NONE; MAX_LANES];
-            views.gather(previous, observations, group);
+            views.gather(previous, observations, group, true);
             begin(&views, config, scales, &mut starts[..group.len()]);
             begun.extend(group.iter().copied().zip(starts));
         }
+        let rays = !config.refine || config.collinear_degrees != 0.0;
         begun.sort_by_key(|(_, start)| start.doubtful);
         for group in begun.chunks(S::F64_LANES) {
             let (mut gaussians, mut starts) = ([0; MAX_LANES], [Start::NONE; MAX_LANES]);
@@ -198,7 +199,7 @@ impl WithSimd for SolveChunk<'_> {
             }
             let n = group.len();
             let mut solutions = [Err(EstimateStatus::TooFewViews); MAX_LANES];
-            views.gather(previous, observations, &gaussians[..n]);
+            views.gather(previous, observations, &gaussians[..n], rays);
             finish(&mut views, &starts[..n], config, scales, &mut solutions[..n]);
             for (&(i, _), solution) in group.iter().zip(solutions) {
                 out[i as usize - first] = solution;
@@ -224,7 +225,7 @@ impl WithSimd for SoftResiduals<'_> {
         let mut views = Views::new(simd, batch.lenses);
         let mut out = Vec::new();
         for group in samples.chunks(S::F64_LANES) {
-            views.gather(batch.previous, batch.observations, group);
+            views.gather(batch.previous, batch.observations, group, true);
             let (start, solved) = views.meet([views.number(0.0); 3], RayWeights::Depth).solve(simd);
             let lanes = solved & views.number(3.0).up_to(views.count);
             let point = robust::soften(&views, lanes, start, soft);
