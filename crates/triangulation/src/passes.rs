@@ -27,6 +27,10 @@ pub struct Fit<S: Simd> {
     /// The largest squared residual (px^2) and its row.
     pub worst: Real<S>,
     pub worst_row: Real<S>,
+    /// The next largest.
+    pub second: Real<S>,
+    /// Pixels a metre in the nearest camera.
+    pub reach: Real<S>,
 }
 
 /// The squared residuals of all views at a point, in brief.
@@ -239,6 +243,7 @@ fn add_view<S: Simd>(
             slope.times_minus(away[2], across[2]),
         ];
         let scale = focal * near;
+        fit.reach = seen.select(fit.reach.or_greater(scale), fit.reach);
         fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
         error2 = error.times_plus(error, error2);
     }
@@ -259,12 +264,21 @@ impl<S: Simd> WithSimd for ReprojectionPass<'_, '_, S> {
         let Self { views, point } = self;
         let simd = views.simd;
         let zero = Real::all(simd, 0.0);
-        let mut fit = Fit { point, normal: Normal::zero(simd), cost: zero, worst: zero, worst_row: zero };
+        let mut fit = Fit {
+            point,
+            normal: Normal::zero(simd),
+            cost: zero,
+            worst: zero,
+            worst_row: zero,
+            second: zero,
+            reach: zero,
+        };
         let mut hidden = Truth::nowhere(simd);
         for (k, row) in views.rows.iter().enumerate() {
             let (error2, seen) = add_view(simd, &views.lens(row), row, point, &mut fit);
             hidden = hidden | row.weight.above(zero).except(seen);
             let worse = seen & fit.worst.up_to(error2);
+            fit.second = seen.select(worse.select(fit.worst, error2.or_greater(fit.second)), fit.second);
             fit.worst = worse.select(error2, fit.worst);
             fit.worst_row = worse.select(Real::all(simd, k as f64), fit.worst_row);
         }

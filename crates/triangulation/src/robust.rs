@@ -181,13 +181,15 @@ impl<S: Simd> PairSearch<'_, '_, S> {
     fn truncated(&self, sights: &[Sight], points: [Real<S>; 3], least: f64) -> Real<S> {
         let simd = self.views.simd;
         let cut2 = Real::all(simd, self.cut2);
-        let previous = all3(simd, self.previous());
         let mut cost = Real::all(simd, 0.0);
         for (k, sight) in sights.iter().enumerate() {
             if k % 8 == 0 && !Real::all(simd, least).above(cost).any() {
                 break;
             }
-            let lens = LensLanes::new(simd, &self.views.lenses[sight.lens], previous);
+            let lens = LensLanes {
+                center: all3(simd, sight.center),
+                ..LensLanes::new(simd, &self.views.lenses[sight.lens], [cost; 3])
+            };
             let target = [Real::all(simd, sight.target[0]), Real::all(simd, sight.target[1])];
             let error = squared_error(simd, &lens, target, lens.turn(minus(points, lens.center)));
             cost = Real::all(simd, sight.weight).times_plus(cut2.above(error).select(error, cut2), cost);

@@ -177,6 +177,8 @@ const MAX_STEPS: f64 = 20.0;
 const CONVERGED: f64 = 1e-9;
 /// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
 const ROUGH: f64 = 1e-6;
+/// Bound on the change of a residual (px) with a step, in pixels a metre straight ahead: half an image of 140 degrees.
+const MARGIN: f64 = 8.0;
 
 /// The least-squares points, from `start`. With a cut, in redescending rounds: drop the worst view beyond it, refine on
 /// the rest.
@@ -208,48 +210,86 @@ fn gauss_newton<S: Simd>(
     let (zero, one) = (views.number(0.0), views.number(1.0));
     let (mut fit, hidden) = views.reproject(start);
     fates.fail(hidden, EstimateStatus::BehindCamera);
-    let mut running = fates.alive;
-    let mut rough = if cut2.is_some() { running } else { Truth::nowhere(simd) };
-    let (mut damping, mut steps) = (zero, zero);
-    // Lanes that lost a view since the last full sum, and those of them that no step was found for: these sum once more
-    // where they are.
-    let (mut stale, mut again) = (Truth::nowhere(simd), Truth::nowhere(simd));
-    while running.any() {
-        let (step, solved) = fit.normal.damped(simd, damping).solve(simd);
-        let stepping = (running & solved).except(again);
+    let nowhere = Truth::nowhere(simd);
+    let rough = if cut2.is_some() { fates.alive } else { nowhere };
+    let mut rounds = Rounds { running: fates.alive, rough, stale: nowhere, damping: zero, steps: zero };
+    let cut2 = views.number(cut2.unwrap_or(f64::INFINITY));
+    // Lanes that lost a view and found no step since: they sum once more where they are.
+    let mut again = nowhere;
+    while rounds.running.any() {
+        let (mut step, mut solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
+        let mut small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
+        let landed = (rounds.running & rounds.rough & solved & small).except(rounds.stale | again);
+        let landed = landed & fit.certain(views, step, cut2);
+        if landed.any() {
+            rounds.land(landed, views, &mut fit, cut2, fates);
+            (step, solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
+            small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
+        }
+        let stepping = (rounds.running & solved).except(again);
         let (trial, hidden) = views.reproject(stepping.select3(plus(fit.point, step), fit.point));
         let better = (stepping & trial.cost.up_to(fit.cost)).except(hidden);
         fit = Fit::select(better | again, trial, fit);
-        stale = stale.except(better | again);
-        let less = damping.above(views.number(1e-6)).select(damping * views.number(0.1), zero);
-        let more = (damping * views.number(10.0)).or_greater(views.number(1e-3));
-        damping = better.select(less, stepping.select(more, damping));
-        steps = stepping.select(steps + one, steps);
-        let tolerance = rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale;
-        let small = dot(step, step).sqrt().up_to(tolerance) | views.number(MAX_STEPS).up_to(steps);
-        let ended = again | (stepping & small) | running.except(stepping);
-        running = running.except(ended.except(rough));
-        let landed = ended & rough;
-        again = landed & stale;
+        rounds.stale = rounds.stale.except(better | again);
+        let less = rounds.damping.above(views.number(1e-6)).select(rounds.damping * views.number(0.1), zero);
+        let more = (rounds.damping * views.number(10.0)).or_greater(views.number(1e-3));
+        rounds.damping = better.select(less, stepping.select(more, rounds.damping));
+        rounds.steps = stepping.select(rounds.steps + one, rounds.steps);
+        small = small | views.number(MAX_STEPS).up_to(rounds.steps);
+        let ended = again | (stepping & small) | rounds.running.except(stepping);
+        rounds.running = rounds.running.except(ended.except(rounds.rough));
+        let landed = ended & rounds.running & rounds.rough;
+        again = landed & rounds.stale;
         let landed = landed.except(again);
-        if let Some(cut2) = cut2
-            && landed.any()
-        {
-            let beyond = landed & fit.worst.above(views.number(cut2));
-            let lost = beyond & views.count.up_to(views.number(2.0));
-            fates.fail(lost, EstimateStatus::Residual);
-            running = running.except(lost);
-            let fewer = beyond.except(lost);
-            if fewer.any() {
-                views.remove_worst(fewer, &mut fit);
-            }
-            stale = stale | fewer;
-            rough = rough.except(landed.except(beyond));
-            damping = landed.select(zero, damping);
-            steps = landed.select(zero, steps);
+        if landed.any() {
+            rounds.land(landed, views, &mut fit, cut2, fates);
         }
     }
     fit
+}
+
+/// The round each lane is in.
+struct Rounds<S: Simd> {
+    running: Truth<S>,
+    /// Lanes whose views are still being chosen.
+    rough: Truth<S>,
+    /// Lanes that lost a view since their last full sum.
+    stale: Truth<S>,
+    damping: Real<S>,
+    /// Steps in this round.
+    steps: Real<S>,
+}
+
+impl<S: Simd> Rounds<S> {
+    /// Length of a last step (m).
+    #[inline(always)]
+    fn tolerance(&self, views: &Views<S>) -> Real<S> {
+        self.rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale
+    }
+
+    /// Ends the rough round of the lanes: the worst view goes if it is beyond the cut, or else the last round begins.
+    #[inline(always)]
+    fn land(
+        &mut self,
+        lanes: Truth<S>,
+        views: &mut Views<S>,
+        fit: &mut Fit<S>,
+        cut2: Real<S>,
+        fates: &mut Fates<S>,
+    ) {
+        let beyond = lanes & fit.worst.above(cut2);
+        let lost = beyond & views.count.up_to(views.number(2.0));
+        fates.fail(lost, EstimateStatus::Residual);
+        self.running = self.running.except(lost);
+        let fewer = beyond.except(lost);
+        if fewer.any() {
+            views.remove_worst(fewer, fit);
+        }
+        self.stale = self.stale | fewer;
+        self.rough = self.rough.except(lanes.except(beyond));
+        self.damping = lanes.select(views.number(0.0), self.damping);
+        self.steps = lanes.select(views.number(0.0), self.steps);
+    }
 }
 
 /// As [`gauss_newton`] with the weighted rays alone: a re-weighting a round.
@@ -283,7 +323,8 @@ fn rays_only<S: Simd>(
     }
     let zero = views.number(0.0);
     let normal = views.meet(point, RayWeights::Depth);
-    Fit { point, normal, cost: views.ray_cost(point), worst: zero, worst_row: zero }
+    let cost = views.ray_cost(point);
+    Fit { point, normal, cost, worst: zero, worst_row: zero, second: zero, reach: zero }
 }
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
@@ -380,6 +421,16 @@ fn drop_collinear<S: Simd>(
 }
 
 impl<S: Simd> Fit<S> {
+    /// Where a step cannot change which view is the worst, nor whether it is within the cut: then it need not be taken to
+    /// tell. No residual changes by more than a few times the step at the nearest camera's pixels a metre.
+    #[inline(always)]
+    fn certain(&self, views: &Views<S>, step: [Real<S>; 3], cut2: Real<S>) -> Truth<S> {
+        let margin = views.number(MARGIN) * dot(step, step).sqrt() * self.reach;
+        let (worst, second, cut) = (self.worst.sqrt(), self.second.sqrt(), cut2.sqrt());
+        let first = (worst - second).above(margin + margin);
+        cut.above(worst + margin) | (first & (worst - margin).above(cut))
+    }
+
     #[inline(always)]
     fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
         Self {
@@ -388,6 +439,8 @@ impl<S: Simd> Fit<S> {
             cost: place.select(yes.cost, no.cost),
             worst: place.select(yes.worst, no.worst),
             worst_row: place.select(yes.worst_row, no.worst_row),
+            second: place.select(yes.second, no.second),
+            reach: place.select(yes.reach, no.reach),
         }
     }
 }

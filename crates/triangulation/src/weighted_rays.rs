@@ -85,15 +85,16 @@ impl Triangulator for WeightedRays {
             arch.dispatch(SolveChunk { batch: &batch, scales, first: chunk * CHUNK, out });
         });
         let pooled = pooled_variance(&solutions);
-        out.means.clear();
-        out.covariances.clear();
-        out.status.clear();
-        for (solution, &mean) in solutions.iter().zip(previous) {
-            let (step, covariance, status) = accept(solution, pooled, &self.config);
-            out.means.push(mean + step);
-            out.covariances.push(covariance);
-            out.status.push(status);
-        }
+        out.means.resize(previous.len(), DVec3::ZERO);
+        out.covariances.resize(previous.len(), DMat3::ZERO);
+        out.status.resize(previous.len(), EstimateStatus::TooFewViews);
+        let columns = out.means.par_iter_mut().zip(&mut out.covariances).zip(&mut out.status);
+        columns.zip(&solutions).zip(previous).with_min_len(CHUNK).for_each(|((to, solution), &mean)| {
+            let ((place, covariance), status) = to;
+            let step;
+            (step, *covariance, *status) = accept(solution, pooled, &self.config);
+            *place = mean + step;
+        });
         Ok(())
     }
 }
@@ -108,7 +109,7 @@ struct Batch<'a> {
 }
 
 /// Gaussians a task solves: neighbours in the columns of the observations, so that cache lines are shared.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 512;
 /// The same of the noise scale.
 const SAMPLE_CHUNK: usize = 64;
 /// Gaussians the noise scale of the robust cut is taken from.
