@@ -1,4 +1,4 @@
-use crate::real::{Real, Truth};
+use crate::real::{Real, Truth, dot};
 use pulp::Simd;
 
 /// A symmetric 3x3 normal system `A x = b` in every lane.
@@ -45,17 +45,16 @@ impl<S: Simd> Normal<S> {
     #[inline(always)]
     pub fn add_line(&mut self, d: [Real<S>; 3], c: [Real<S>; 3], weight: Real<S>) {
         let (a, b) = (&mut self.a, &mut self.b);
-        let zero = weight - weight;
-        let minus = [zero - d[0] * weight, zero - d[1] * weight, zero - d[2] * weight];
-        let along = d[2].times_plus(c[2], d[1].times_plus(c[1], d[0] * c[0]));
-        a[0] = minus[0].times_plus(d[0], a[0] + weight);
-        a[1] = minus[0].times_plus(d[1], a[1]);
-        a[2] = minus[0].times_plus(d[2], a[2]);
-        a[3] = minus[1].times_plus(d[1], a[3] + weight);
-        a[4] = minus[1].times_plus(d[2], a[4]);
-        a[5] = minus[2].times_plus(d[2], a[5] + weight);
+        let weighted = [d[0] * weight, d[1] * weight, d[2] * weight];
+        let along = dot(d, c);
+        a[0] = weighted[0].times_minus(d[0], a[0] + weight);
+        a[1] = weighted[0].times_minus(d[1], a[1]);
+        a[2] = weighted[0].times_minus(d[2], a[2]);
+        a[3] = weighted[1].times_minus(d[1], a[3] + weight);
+        a[4] = weighted[1].times_minus(d[2], a[4]);
+        a[5] = weighted[2].times_minus(d[2], a[5] + weight);
         for k in 0..3 {
-            b[k] = minus[k].times_plus(along, weight.times_plus(c[k], b[k]));
+            b[k] = weighted[k].times_minus(along, weight.times_plus(c[k], b[k]));
         }
     }
 
