@@ -4,6 +4,13 @@
 //! independent apart from one pooled noise scale, which is summed in a fixed order: results do not depend on the
 //! number of threads.
 //!
+//! A vector holds several Gaussians, one a lane, and every loop runs over the views that any of them was observed in, whose
+//! camera is broadcast. A lane's sums do not depend on the other lanes. Gaussians are grouped so that the lanes of a group
+//! are busy for as long: first by the views that observed them, then by the number of views that will probably be removed.
+//!
+//! What it costs, at the least: 24 bytes read for each observation; a sum over the views of about 60 operations each for
+//! every re-weighting of the rays, Gauss-Newton step and removed view; and 36 shorter ones where most views do not agree.
+//!
 //! ```
 //! use ffgs_core::{Camera, Estimates, EstimateStatus, ImageSize, Intrinsics, Observations};
 //! use ffgs_triangulation::{Triangulator, WeightedRays};

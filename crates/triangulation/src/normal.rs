@@ -1,95 +1,163 @@
-use glam::{DMat3, DVec3};
+use crate::real::{Real, Truth, dot};
+use pulp::Simd;
 
-/// A symmetric 3x3 normal system `A x = b`.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Normal {
+/// A symmetric 3x3 normal system `A x = b` in every lane.
+#[derive(Clone, Copy)]
+pub struct Normal<S: Simd> {
     /// `A`: xx, xy, xz, yy, yz, zz.
-    pub a: [f64; 6],
-    pub b: [f64; 3],
+    pub a: [Real<S>; 6],
+    pub b: [Real<S>; 3],
 }
 
 /// Pivots below this fraction of the diagonal are rounding, not information.
 const PIVOT: f64 = 1e-13;
 
 /// `A = L D L^T` with a unit diagonal in L.
-struct Factors {
-    below: [f64; 3],
-    inverse: [f64; 3],
+struct Factors<S: Simd> {
+    below: [Real<S>; 3],
+    inverse: [Real<S>; 3],
+    sound: Truth<S>,
 }
 
-impl Normal {
-    /// `A x = b`; `None` when A is not positive definite to working precision.
-    pub fn solve(&self) -> Option<DVec3> {
-        Some(self.factors()?.solve(DVec3::from(self.b)))
+impl<S: Simd> Normal<S> {
+    #[inline(always)]
+    pub fn zero(simd: S) -> Self {
+        Self { a: [Real::all(simd, 0.0); 6], b: [Real::all(simd, 0.0); 3] }
     }
 
-    /// `A^-1`, as [`Normal::solve`].
-    pub fn inverse(&self) -> Option<DMat3> {
-        let factors = self.factors()?;
-        Some(DMat3::from_cols(factors.solve(DVec3::X), factors.solve(DVec3::Y), factors.solve(DVec3::Z)))
+    /// Adds `j j^T w` and `j e`.
+    #[inline(always)]
+    pub fn add_row(&mut self, j: [Real<S>; 3], weight: Real<S>, error: Real<S>) {
+        let weighted = [j[0] * weight, j[1] * weight, j[2] * weight];
+        let (a, b) = (&mut self.a, &mut self.b);
+        a[0] = weighted[0].times_plus(j[0], a[0]);
+        a[1] = weighted[0].times_plus(j[1], a[1]);
+        a[2] = weighted[0].times_plus(j[2], a[2]);
+        a[3] = weighted[1].times_plus(j[1], a[3]);
+        a[4] = weighted[1].times_plus(j[2], a[4]);
+        a[5] = weighted[2].times_plus(j[2], a[5]);
+        for k in 0..3 {
+            b[k] = j[k].times_plus(error, b[k]);
+        }
+    }
+
+    /// Adds `w (I - d d^T)` and `w (I - d d^T) c`: the lines through `c` along the unit vectors `d`.
+    #[inline(always)]
+    pub fn add_line(&mut self, d: [Real<S>; 3], c: [Real<S>; 3], weight: Real<S>) {
+        let (a, b) = (&mut self.a, &mut self.b);
+        let weighted = [d[0] * weight, d[1] * weight, d[2] * weight];
+        let along = dot(d, c);
+        a[0] = weighted[0].times_minus(d[0], a[0] + weight);
+        a[1] = weighted[0].times_minus(d[1], a[1]);
+        a[2] = weighted[0].times_minus(d[2], a[2]);
+        a[3] = weighted[1].times_minus(d[1], a[3] + weight);
+        a[4] = weighted[1].times_minus(d[2], a[4]);
+        a[5] = weighted[2].times_minus(d[2], a[5] + weight);
+        for k in 0..3 {
+            b[k] = weighted[k].times_minus(along, weight.times_plus(c[k], b[k]));
+        }
+    }
+
+    /// `A x = b`, and where A is positive definite to working precision.
+    #[inline(always)]
+    pub fn solve(&self, simd: S) -> ([Real<S>; 3], Truth<S>) {
+        let factors = self.factors(simd);
+        (factors.solve(self.b), factors.sound)
+    }
+
+    /// `A^-1` (xx, xy, xz, yy, yz, zz), as [`Normal::solve`].
+    #[inline(always)]
+    pub fn inverse(&self, simd: S) -> ([Real<S>; 6], Truth<S>) {
+        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+        let factors = self.factors(simd);
+        let (x, y) = (factors.solve([one, zero, zero]), factors.solve([zero, one, zero]));
+        let z = factors.solve([zero, zero, one]);
+        ([x[0], y[0], z[0], y[1], z[1], z[2]], factors.sound)
     }
 
     /// The same system with the diagonal grown by a share of itself.
-    pub fn damped(mut self, damping: f64) -> Self {
+    #[inline(always)]
+    pub fn damped(mut self, simd: S, damping: Real<S>) -> Self {
         for k in [0, 3, 5] {
-            self.a[k] *= 1.0 + damping;
+            self.a[k] = self.a[k] * (Real::all(simd, 1.0) + damping);
         }
         self
     }
 
-    /// Pivots are compared with their diagonal entries: units and weights do not decide what counts as singular.
-    fn factors(&self) -> Option<Factors> {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        if !(xx > 0.0 && yy > 0.0 && zz > 0.0 && xx + yy + zz < f64::INFINITY) {
-            return None;
+    /// `yes` where true, elsewhere `no`.
+    #[inline(always)]
+    pub fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+        let mut out = no;
+        for k in 0..6 {
+            out.a[k] = place.select(yes.a[k], no.a[k]);
         }
-        let inverse_x = 1.0 / xx;
+        out.b = place.select3(yes.b, no.b);
+        out
+    }
+
+    /// Pivots are compared with their diagonal entries: units and weights do not decide what counts as singular.
+    #[inline(always)]
+    fn factors(&self, simd: S) -> Factors<S> {
+        let [xx, xy, xz, yy, yz, zz] = self.a;
+        let (zero, one, pivot) = (Real::all(simd, 0.0), Real::all(simd, 1.0), Real::all(simd, PIVOT));
+        let positive = xx.above(zero) & yy.above(zero) & zz.above(zero);
+        let finite = Real::all(simd, f64::INFINITY).above(xx + yy + zz);
+        let inverse_x = one / xx;
         let (yx, zx) = (xy * inverse_x, xz * inverse_x);
         let y = yy - yx * xy;
-        if !(y > PIVOT * yy) {
-            return None;
-        }
-        let inverse_y = 1.0 / y;
+        let inverse_y = one / y;
         let rest = yz - zx * xy;
         let zy = rest * inverse_y;
         let z = zz - zx * xz - zy * rest;
-        (z > PIVOT * zz).then(|| Factors { below: [yx, zx, zy], inverse: [inverse_x, inverse_y, 1.0 / z] })
+        let sound = positive & finite & y.above(pivot * yy) & z.above(pivot * zz);
+        Factors { below: [yx, zx, zy], inverse: [inverse_x, inverse_y, one / z], sound }
     }
 }
 
-impl Factors {
-    fn solve(&self, b: DVec3) -> DVec3 {
+impl<S: Simd> Factors<S> {
+    #[inline(always)]
+    fn solve(&self, b: [Real<S>; 3]) -> [Real<S>; 3] {
         let [yx, zx, zy] = self.below;
-        let y = b.y - yx * b.x;
-        let z = (b.z - zx * b.x - zy * y) * self.inverse[2];
+        let y = b[1] - yx * b[0];
+        let z = (b[2] - zx * b[0] - zy * y) * self.inverse[2];
         let y = y * self.inverse[1] - zy * z;
-        DVec3::new(b.x * self.inverse[0] - yx * y - zx * z, y, z)
+        [b[0] * self.inverse[0] - yx * y - zx * z, y, z]
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::real::all3;
+    use glam::{DMat3, DVec3};
+    use pulp::Scalar;
 
-    fn sum_of_outer_products(vectors: &[DVec3]) -> Normal {
-        let mut normal = Normal::default();
-        for v in vectors {
-            let products = [v.x * v.x, v.x * v.y, v.x * v.z, v.y * v.y, v.y * v.z, v.z * v.z];
-            normal.a.iter_mut().zip(products).for_each(|(a, p)| *a += p);
-        }
+    fn sum_of_outer_products(vectors: &[DVec3]) -> Normal<Scalar> {
+        let simd = Scalar::new();
+        let mut normal = Normal::zero(simd);
+        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+        vectors.iter().for_each(|&v| normal.add_row(all3(simd, v), one, zero));
         normal
+    }
+
+    fn symmetric(a: [Real<Scalar>; 6]) -> DMat3 {
+        let [xx, xy, xz, yy, yz, zz] = a.map(|v| v.lane(0));
+        DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
     }
 
     #[test]
     fn the_inverse_is_an_inverse_or_refused() {
+        let simd = Scalar::new();
         let vectors = [DVec3::new(1.0, 2.0, -0.5), DVec3::new(0.1, -1.0, 0.3), DVec3::new(4.0, 0.2, 0.7)];
-        let normal = Normal { b: [1.0, -2.0, 3.0], ..sum_of_outer_products(&vectors) };
-        let [xx, xy, xz, yy, yz, zz] = normal.a;
-        let m = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
-        let error = m * normal.inverse().unwrap() - DMat3::IDENTITY;
-        assert!(error.to_cols_array().iter().all(|v| v.abs() < 1e-12));
-        assert!((m * normal.solve().unwrap() - DVec3::from(normal.b)).length() < 1e-12);
-        assert!(sum_of_outer_products(&vectors[..2]).inverse().is_none());
-        assert!(Normal { a: [f64::NAN; 6], b: [0.0; 3] }.solve().is_none());
+        let b = DVec3::new(1.0, -2.0, 3.0);
+        let normal = Normal { b: all3(simd, b), ..sum_of_outer_products(&vectors) };
+        let (inverse, sound) = normal.inverse(simd);
+        let error = symmetric(normal.a) * symmetric(inverse) - DMat3::IDENTITY;
+        assert!(sound.any() && error.to_cols_array().iter().all(|v| v.abs() < 1e-12));
+        let x = DVec3::from(normal.solve(simd).0.map(|v| v.lane(0)));
+        assert!((symmetric(normal.a) * x - b).length() < 1e-12);
+        assert!(!sum_of_outer_products(&vectors[..2]).inverse(simd).1.any());
+        let nan = Normal { a: [Real::all(simd, f64::NAN); 6], ..normal };
+        assert!(!nan.solve(simd).1.any());
     }
 }

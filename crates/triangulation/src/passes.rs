@@ -1,284 +1,326 @@
-//! The loops over views: one view a lane, compiled for each instruction set and chosen at run time.
+//! The loops over views.
 
 use crate::normal::Normal;
-use crate::real::{Real, dot};
-use crate::views::{Block, Column, LANES, RayWeights};
+use crate::real::{Real, Truth, dot, minus};
+use crate::robust::NEAR2;
+use crate::views::{LensLanes, Row, Views};
 use pulp::{Simd, WithSimd};
 
-/// The lanes of a block that one vector holds, with a point in each of their cameras.
+/// How rays are weighted at a point.
 #[derive(Clone, Copy)]
-struct Lanes<'a, S: Simd> {
-    simd: S,
-    block: &'a Block,
-    part: usize,
+pub enum RayWeights<S: Simd> {
+    /// By the observations' weights alone.
+    Plain,
+    /// Times `(f / z)^2`, which turns squared distances to the ray into px^2.
+    Depth,
+    /// That over `1 + (r / scale)^2`, the residual against a scale (px).
+    Soft(Real<S>),
 }
 
-impl<S: Simd> Lanes<'_, S> {
+/// A normal system with the cost it came from, at a point.
+#[derive(Clone, Copy)]
+pub struct Fit<S: Simd> {
+    pub point: [Real<S>; 3],
+    pub normal: Normal<S>,
+    /// Weighted sum of squared residuals (px^2).
+    pub cost: Real<S>,
+    /// The largest squared residual (px^2) and its row.
+    pub worst: Real<S>,
+    pub worst_row: Real<S>,
+    /// The next largest.
+    pub second: Real<S>,
+    /// Pixels a metre in the nearest camera.
+    pub reach: Real<S>,
+}
+
+/// The squared residuals of all views at a point, in brief.
+#[derive(Clone, Copy)]
+pub struct Survey<S: Simd> {
+    /// Views within the cut.
+    pub agreeing: Real<S>,
+    /// Views within twice the cut.
+    pub near: Real<S>,
+    /// Views in front of whose camera the point is.
+    pub in_front: Real<S>,
+    /// `sum w min(r^2, cut^2)`.
+    pub truncated: Real<S>,
+    /// The largest squared residual (px^2), infinite behind a camera, and its row.
+    pub worst: Real<S>,
+    pub worst_row: Real<S>,
+}
+
+impl<S: Simd> Views<'_, S> {
     #[inline(always)]
-    fn get(self, column: &Column) -> Real<S> {
-        Real::load(self.simd, column, self.part)
+    fn lens(&self, row: &Row<S>) -> LensLanes<S> {
+        LensLanes::new(self.simd, &self.lenses[row.lens], self.previous)
     }
 
+    /// Weighted meeting point of the rays as a normal system (Algorithm 1, line 23): `A = sum w W`, `b = sum w W c`,
+    /// `W = I - d d^T`, with the weights of `point`.
     #[inline(always)]
-    fn get3(self, columns: &[Column]) -> [Real<S>; 3] {
-        [self.get(&columns[0]), self.get(&columns[1]), self.get(&columns[2])]
+    pub fn meet(&self, point: [Real<S>; 3], weights: RayWeights<S>) -> Normal<S> {
+        self.simd.vectorize(RayPass { views: self, point, weights })
     }
 
+    /// `sum w J^T J`, `sum w J^T r` of the projections at `point`, and the residuals; and where the point is behind one of
+    /// the cameras: then the rest is of the other views.
     #[inline(always)]
-    fn number(self, value: f64) -> Real<S> {
-        Real::all(self.simd, value)
+    pub fn reproject(&self, point: [Real<S>; 3]) -> (Fit<S>, Truth<S>) {
+        self.simd.vectorize(ReprojectionPass { views: self, point })
     }
 
-    /// Camera coordinates of a point (m).
+    /// The residuals at a point.
     #[inline(always)]
-    fn in_camera(self, p: [Real<S>; 3]) -> [Real<S>; 3] {
-        let (r, o) = (&self.block.rotation, self.get3(&self.block.origin_in_camera));
-        [
-            dot(self.get3(&r[0..3]), p) + o[0],
-            dot(self.get3(&r[3..6]), p) + o[1],
-            dot(self.get3(&r[6..9]), p) + o[2],
-        ]
+    pub fn survey(&self, point: [Real<S>; 3], cut2: Real<S>) -> Survey<S> {
+        self.simd.vectorize(SurveyPass { views: self, point, cut2 })
     }
 
-    /// Squared residual (px^2); infinite behind the camera.
+    /// Removes the worst view of the lanes and takes its share out of the fit's sums; which view is the worst now is not
+    /// known then.
     #[inline(always)]
-    fn squared_error(self, [x, y, z]: [Real<S>; 3]) -> Real<S> {
-        let near = self.number(1.0) / z;
-        let dx = self.get(&self.block.target[0]) - self.get(&self.block.focal[0]) * (x * near);
-        let dy = self.get(&self.block.target[1]) - self.get(&self.block.focal[1]) * (y * near);
-        let error = dx.times_plus(dx, dy * dy);
-        z.select_above(self.number(0.0), error, self.number(f64::INFINITY))
-    }
-
-    /// Square of the depth that turns metres into pixels. A point behind the camera or beside it takes its distance: the
-    /// first guess may be that bad and still be mended by the other views.
-    #[inline(always)]
-    fn squared_depth(self, z: Real<S>, offset: [Real<S>; 3]) -> Real<S> {
+    pub fn remove_worst(&mut self, lanes: Truth<S>, fit: &mut Fit<S>) {
         let zero = self.number(0.0);
-        let distance2 = dot(offset, offset).or_greater(self.number(1e-18));
-        let depth2 = z.select_above(zero, z * z, zero);
-        depth2.select_above(self.number(0.05 * 0.05) * distance2, depth2, distance2)
-    }
-}
-
-/// Runs `f(lanes)` for every vector of every block.
-macro_rules! for_each_vector {
-    ($simd:expr, $blocks:expr, |$lanes:ident| $body:block) => {
-        for block in $blocks {
-            for part in 0..LANES / S::F64_LANES {
-                let $lanes = Lanes { simd: $simd, block, part };
-                $body
-            }
+        let mut gone = Fit { normal: Normal::zero(self.simd), cost: zero, ..*fit };
+        for lane in lanes.lanes() {
+            let k = fit.worst_row.lane(lane) as usize;
+            let mut row = Row { weight: zero, ..self.rows[k] };
+            row.weight.set_lane(lane, self.rows[k].weight.lane(lane));
+            self.rows[k].weight.set_lane(lane, 0.0);
+            add_view(self.simd, &self.lens(&row), &row, fit.point, &mut gone);
         }
-    };
-}
-
-#[inline(always)]
-fn point_in_all<S: Simd>(simd: S, p: [f64; 3]) -> [Real<S>; 3] {
-    [Real::all(simd, p[0]), Real::all(simd, p[1]), Real::all(simd, p[2])]
-}
-
-/// Sums of a normal system, a lane each.
-#[derive(Clone, Copy)]
-struct NormalSums<S: Simd>([Real<S>; 9]);
-
-impl<S: Simd> NormalSums<S> {
-    #[inline(always)]
-    fn zero(simd: S) -> Self {
-        Self([Real::all(simd, 0.0); 9])
-    }
-
-    /// Adds `j j^T w` and `j e w`.
-    #[inline(always)]
-    fn add_row(&mut self, j: [Real<S>; 3], weight: Real<S>, error: Real<S>) {
-        let weighted = [j[0] * weight, j[1] * weight, j[2] * weight];
-        let s = &mut self.0;
-        s[0] = weighted[0].times_plus(j[0], s[0]);
-        s[1] = weighted[0].times_plus(j[1], s[1]);
-        s[2] = weighted[0].times_plus(j[2], s[2]);
-        s[3] = weighted[1].times_plus(j[1], s[3]);
-        s[4] = weighted[1].times_plus(j[2], s[4]);
-        s[5] = weighted[2].times_plus(j[2], s[5]);
-        s[6] = weighted[0].times_plus(error, s[6]);
-        s[7] = weighted[1].times_plus(error, s[7]);
-        s[8] = weighted[2].times_plus(error, s[8]);
-    }
-
-    #[inline(always)]
-    fn total(self) -> Normal {
-        let mut out = Normal::default();
-        for i in 0..6 {
-            out.a[i] = self.0[i].total();
+        self.count = lanes.select(self.count - self.number(1.0), self.count);
+        for k in 0..6 {
+            fit.normal.a[k] = fit.normal.a[k] - gone.normal.a[k];
         }
-        for i in 0..3 {
-            out.b[i] = self.0[6 + i].total();
-        }
-        out
+        fit.normal.b = minus(fit.normal.b, gone.normal.b);
+        // With what rounding may have taken from a small rest.
+        let rest = (fit.cost - gone.cost) + fit.cost * self.number(1e-13);
+        fit.cost = lanes.select(rest, fit.cost);
     }
-}
 
-/// See [`crate::views::Views::rays`].
-pub struct RayPass<'a> {
-    pub blocks: &'a [Block],
-    pub point: [f64; 3],
-    pub weights: RayWeights,
-}
-
-impl WithSimd for RayPass<'_> {
-    type Output = Normal;
-
+    /// Removes the views whose squared residual at `point` is not within the limit.
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Normal {
-        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
-        let point = point_in_all(simd, self.point);
-        let mut sums = NormalSums::zero(simd);
-        for_each_vector!(simd, self.blocks, |lanes| {
-            let block = lanes.block;
-            let (center, ray) = (lanes.get3(&block.center), lanes.get3(&block.ray));
-            let observed = lanes.get(&block.weight);
-            let weight = if let RayWeights::Plain = self.weights {
-                observed
-            } else {
-                let in_camera = lanes.in_camera(point);
-                let offset = [point[0] - center[0], point[1] - center[1], point[2] - center[2]];
-                let mut below = lanes.squared_depth(in_camera[2], offset);
-                if let RayWeights::Soft(scale) = self.weights {
-                    // Behind the camera this is infinite and the weight 0.
-                    let share = lanes.squared_error(in_camera) * lanes.number(1.0 / (scale * scale));
-                    below = below * (one + share);
+    pub fn remove_beyond(&mut self, lanes: Truth<S>, point: [Real<S>; 3], limit2: Real<S>) {
+        let (zero, one) = (self.number(0.0), self.number(1.0));
+        for k in 0..self.rows.len() {
+            let row = self.rows[k];
+            let lens = self.lens(&row);
+            let error = squared_error(self.simd, &lens, row.target, lens.turn(minus(point, lens.center)));
+            let gone = (lanes & row.weight.above(zero)).except(error.up_to(limit2));
+            self.rows[k].weight = gone.select(zero, row.weight);
+            self.count = self.count - gone.select(one, zero);
+        }
+    }
+
+    /// Appends the squared residuals (px^2) of the views, times their weight, corrected for the three fitted coordinates,
+    /// Gaussian by Gaussian.
+    #[inline(always)]
+    pub fn push_errors(&self, lanes: Truth<S>, point: [Real<S>; 3], out: &mut Vec<f64>) {
+        let mut errors = Vec::with_capacity(self.rows.len());
+        let twice = self.count + self.count;
+        let correction = twice / (twice - self.number(3.0));
+        for row in &self.rows {
+            let lens = self.lens(row);
+            let error = squared_error(self.simd, &lens, row.target, lens.turn(minus(point, lens.center)));
+            errors.push(row.weight * error * correction);
+        }
+        for lane in lanes.lanes() {
+            for (row, error) in self.rows.iter().zip(&errors) {
+                if row.weight.lane(lane) > 0.0 {
+                    out.push(error.lane(lane));
                 }
-                observed * lanes.get(&block.focal[0]) * lanes.get(&block.focal[1]) / below
-            };
-            // w (I - d d^T) and w (c - d (d.c)).
-            let s = &mut sums.0;
-            let minus = [zero - ray[0] * weight, zero - ray[1] * weight, zero - ray[2] * weight];
-            let along = dot(ray, center);
-            s[0] = minus[0].times_plus(ray[0], s[0] + weight);
-            s[1] = minus[0].times_plus(ray[1], s[1]);
-            s[2] = minus[0].times_plus(ray[2], s[2]);
-            s[3] = minus[1].times_plus(ray[1], s[3] + weight);
-            s[4] = minus[1].times_plus(ray[2], s[4]);
-            s[5] = minus[2].times_plus(ray[2], s[5] + weight);
-            s[6] = minus[0].times_plus(along, weight.times_plus(center[0], s[6]));
-            s[7] = minus[1].times_plus(along, weight.times_plus(center[1], s[7]));
-            s[8] = minus[2].times_plus(along, weight.times_plus(center[2], s[8]));
-        });
-        sums.total()
-    }
-}
-
-/// See [`crate::views::Views::reprojection`]; the last result is whether a view that counts has the point behind it.
-pub struct ReprojectionPass<'a> {
-    pub blocks: &'a [Block],
-    pub point: [f64; 3],
-}
-
-impl WithSimd for ReprojectionPass<'_> {
-    type Output = (Normal, f64, bool);
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> (Normal, f64, bool) {
-        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
-        let point = point_in_all(simd, self.point);
-        let (mut sums, mut cost, mut hidden) = (NormalSums::zero(simd), zero, zero);
-        for_each_vector!(simd, self.blocks, |lanes| {
-            let block = lanes.block;
-            let [x, y, z] = lanes.in_camera(point);
-            let near = one / z.select_above(zero, z, one);
-            let observed = lanes.get(&block.weight);
-            let weight = z.select_above(zero, observed, zero);
-            hidden = hidden + (observed - weight);
-            let away = lanes.get3(&block.rotation[6..9]);
-            for (axis, slope) in [(0, x * near), (1, y * near)] {
-                let focal = lanes.get(&block.focal[axis]);
-                let across = lanes.get3(&block.rotation[3 * axis..3 * axis + 3]);
-                let (error, scale) = (lanes.get(&block.target[axis]) - focal * slope, focal * near);
-                let jacobian = [
-                    scale * (across[0] - slope * away[0]),
-                    scale * (across[1] - slope * away[1]),
-                    scale * (across[2] - slope * away[2]),
-                ];
-                sums.add_row(jacobian, weight, error);
-                cost = (weight * error).times_plus(error, cost);
-            }
-        });
-        (sums.total(), cost.total(), hidden.total() > 0.0)
-    }
-}
-
-/// See [`crate::views::Views::errors`].
-pub struct ErrorPass<'a> {
-    pub blocks: &'a [Block],
-    pub point: [f64; 3],
-    pub errors: &'a mut [Column],
-}
-
-impl WithSimd for ErrorPass<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let point = point_in_all(simd, self.point);
-        for (block, out) in self.blocks.iter().zip(self.errors) {
-            for part in 0..LANES / S::F64_LANES {
-                let lanes = Lanes { simd, block, part };
-                lanes.squared_error(lanes.in_camera(point)).store(out, part);
             }
         }
     }
-}
 
-/// See [`crate::views::Views::truncated_cost`].
-pub struct TruncatedPass<'a> {
-    pub blocks: &'a [Block],
-    pub point: [f64; 3],
-    pub cut2: f64,
-}
-
-impl WithSimd for TruncatedPass<'_> {
-    type Output = f64;
-
+    /// Weighted squared distances to the rays in pixels, infinite behind a camera.
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let point = point_in_all(simd, self.point);
-        let (mut cost, cut2) = (Real::all(simd, 0.0), Real::all(simd, self.cut2));
-        for_each_vector!(simd, self.blocks, |lanes| {
-            let error = lanes.squared_error(lanes.in_camera(point));
-            let truncated = cut2.select_above(error, error, cut2);
-            cost = lanes.get(&lanes.block.weight).times_plus(truncated, cost);
-        });
-        cost.total()
-    }
-}
-
-/// See [`crate::views::Views::ray_cost`].
-pub struct RayResidualPass<'a> {
-    pub blocks: &'a [Block],
-    pub point: [f64; 3],
-}
-
-impl WithSimd for RayResidualPass<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let zero = Real::all(simd, 0.0);
-        let point = point_in_all(simd, self.point);
+    pub fn ray_cost(&self, point: [Real<S>; 3]) -> Real<S> {
+        let (zero, infinity) = (self.number(0.0), self.number(f64::INFINITY));
         let mut cost = zero;
-        for_each_vector!(simd, self.blocks, |lanes| {
-            let block = lanes.block;
-            let z = lanes.in_camera(point)[2];
-            let (ray, center) = (lanes.get3(&block.ray), lanes.get3(&block.center));
-            let offset = [point[0] - center[0], point[1] - center[1], point[2] - center[2]];
+        for row in &self.rows {
+            let (lens, ray) = (self.lens(row), row.ray);
+            let offset = minus(point, lens.center);
+            let z = dot(lens.rotation[2], offset);
             let along = dot(ray, offset);
             // The vector, not the difference of squares: that would round to less than nothing.
-            let across = [offset[0] - ray[0] * along, offset[1] - ray[1] * along, offset[2] - ray[2] * along];
-            let focal2 = lanes.get(&block.focal[0]) * lanes.get(&block.focal[1]);
-            let pixels2 = dot(across, across) * focal2 / lanes.squared_depth(z, offset);
-            let pixels2 = z.select_above(zero, pixels2, lanes.number(f64::INFINITY));
-            let weight = lanes.get(&block.weight);
-            cost = cost + weight.select_above(zero, weight * pixels2, zero);
-        });
-        cost.total()
+            let across = minus(offset, [ray[0] * along, ray[1] * along, ray[2] * along]);
+            let focal2 = lens.focal[0] * lens.focal[1];
+            let pixels2 = dot(across, across) * focal2 / squared_depth(self.simd, z, offset);
+            let pixels2 = z.above(zero).select(pixels2, infinity);
+            cost = cost + row.weight.above(zero).select(row.weight * pixels2, zero);
+        }
+        cost
+    }
+}
+
+/// Squared residual (px^2) of a point in camera coordinates; infinite behind the camera.
+#[inline(always)]
+pub fn squared_error<S: Simd>(
+    simd: S,
+    lens: &LensLanes<S>,
+    target: [Real<S>; 2],
+    [x, y, z]: [Real<S>; 3],
+) -> Real<S> {
+    let near = Real::all(simd, 1.0) / z;
+    let dx = target[0] - lens.focal[0] * (x * near);
+    let dy = target[1] - lens.focal[1] * (y * near);
+    z.above(Real::all(simd, 0.0)).select(dx.times_plus(dx, dy * dy), Real::all(simd, f64::INFINITY))
+}
+
+/// Square of the depth that turns metres into pixels. A point behind the camera or beside it takes its distance: the first
+/// guess may be that bad and still be mended by the other views.
+#[inline(always)]
+fn squared_depth<S: Simd>(simd: S, z: Real<S>, offset: [Real<S>; 3]) -> Real<S> {
+    let zero = Real::all(simd, 0.0);
+    let distance2 = dot(offset, offset).or_greater(Real::all(simd, 1e-18));
+    let depth2 = z.above(zero).select(z * z, zero);
+    depth2.above(Real::all(simd, 0.05 * 0.05) * distance2).select(depth2, distance2)
+}
+
+struct RayPass<'a, 'b, S: Simd> {
+    views: &'a Views<'b, S>,
+    point: [Real<S>; 3],
+    weights: RayWeights<S>,
+}
+
+impl<S: Simd> RayPass<'_, '_, S> {
+    /// Observed weight times `(f / z)^2` and the soft weight.
+    #[inline(always)]
+    fn weight(&self, row: &Row<S>, lens: &LensLanes<S>) -> Real<S> {
+        let one = self.views.number(1.0);
+        let offset = minus(self.point, lens.center);
+        let seen = lens.turn(offset);
+        let mut below = squared_depth(self.views.simd, seen[2], offset);
+        if let RayWeights::Soft(per_scale2) = self.weights {
+            // Behind the camera this is infinite and the weight 0.
+            below = below * (one + squared_error(self.views.simd, lens, row.target, seen) * per_scale2);
+        }
+        let weight = row.weight * lens.focal[0] * lens.focal[1] / below;
+        let zero = self.views.number(0.0);
+        row.weight.above(zero).select(weight, zero)
+    }
+}
+
+impl<S: Simd> WithSimd for RayPass<'_, '_, S> {
+    type Output = Normal<S>;
+
+    #[inline(always)]
+    fn with_simd<T: Simd>(self, _: T) -> Normal<S> {
+        let mut normal = Normal::zero(self.views.simd);
+        for row in &self.views.rows {
+            let lens = self.views.lens(row);
+            let weight =
+                if let RayWeights::Plain = self.weights { row.weight } else { self.weight(row, &lens) };
+            normal.add_line(row.ray, lens.center, weight);
+        }
+        normal
+    }
+}
+
+/// Adds a view to the sums of a fit, where the point is in front of its camera; its squared residual (px^2).
+#[inline(always)]
+fn add_view<S: Simd>(
+    simd: S,
+    lens: &LensLanes<S>,
+    row: &Row<S>,
+    point: [Real<S>; 3],
+    fit: &mut Fit<S>,
+) -> (Real<S>, Truth<S>) {
+    let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+    let [x, y, z] = lens.turn(minus(point, lens.center));
+    let seen = row.weight.above(zero) & z.above(zero);
+    let weight = seen.select(row.weight, zero);
+    let near = one / seen.select(z, one);
+    let mut error2 = zero;
+    for (axis, slope) in [(0, x * near), (1, y * near)] {
+        let (across, away, focal) = (lens.rotation[axis], lens.rotation[2], lens.focal[axis]);
+        let error = slope.times_minus(focal, row.target[axis]);
+        // The derivative is `focal / z` times this.
+        let j = [
+            slope.times_minus(away[0], across[0]),
+            slope.times_minus(away[1], across[1]),
+            slope.times_minus(away[2], across[2]),
+        ];
+        let scale = focal * near;
+        fit.reach = seen.select(fit.reach.or_greater(scale), fit.reach);
+        fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
+        error2 = error.times_plus(error, error2);
+    }
+    fit.cost = weight.times_plus(error2, fit.cost);
+    (error2, seen)
+}
+
+struct ReprojectionPass<'a, 'b, S: Simd> {
+    views: &'a Views<'b, S>,
+    point: [Real<S>; 3],
+}
+
+impl<S: Simd> WithSimd for ReprojectionPass<'_, '_, S> {
+    type Output = (Fit<S>, Truth<S>);
+
+    #[inline(always)]
+    fn with_simd<T: Simd>(self, _: T) -> (Fit<S>, Truth<S>) {
+        let Self { views, point } = self;
+        let simd = views.simd;
+        let zero = Real::all(simd, 0.0);
+        let mut fit = Fit {
+            point,
+            normal: Normal::zero(simd),
+            cost: zero,
+            worst: zero,
+            worst_row: zero,
+            second: zero,
+            reach: zero,
+        };
+        let mut hidden = Truth::nowhere(simd);
+        for (k, row) in views.rows.iter().enumerate() {
+            let (error2, seen) = add_view(simd, &views.lens(row), row, point, &mut fit);
+            hidden = hidden | row.weight.above(zero).except(seen);
+            let worse = seen & fit.worst.up_to(error2);
+            fit.second = seen.select(worse.select(fit.worst, error2.or_greater(fit.second)), fit.second);
+            fit.worst = worse.select(error2, fit.worst);
+            fit.worst_row = worse.select(Real::all(simd, k as f64), fit.worst_row);
+        }
+        (fit, hidden)
+    }
+}
+
+struct SurveyPass<'a, 'b, S: Simd> {
+    views: &'a Views<'b, S>,
+    point: [Real<S>; 3],
+    cut2: Real<S>,
+}
+
+impl<S: Simd> WithSimd for SurveyPass<'_, '_, S> {
+    type Output = Survey<S>;
+
+    #[inline(always)]
+    fn with_simd<T: Simd>(self, _: T) -> Survey<S> {
+        let Self { views, point, cut2 } = self;
+        let (zero, one, infinity) = (views.number(0.0), views.number(1.0), views.number(f64::INFINITY));
+        let limit2 = views.number(NEAR2) * cut2;
+        let mut out = Survey {
+            agreeing: zero,
+            near: zero,
+            in_front: zero,
+            truncated: zero,
+            worst: zero,
+            worst_row: zero,
+        };
+        for (k, row) in views.rows.iter().enumerate() {
+            let lens = views.lens(row);
+            let error = squared_error(views.simd, &lens, row.target, lens.turn(minus(point, lens.center)));
+            let counts = row.weight.above(zero);
+            out.agreeing = out.agreeing + (counts & error.up_to(cut2)).select(one, zero);
+            out.near = out.near + (counts & error.up_to(limit2)).select(one, zero);
+            out.in_front = out.in_front + (counts & infinity.above(error)).select(one, zero);
+            let truncated = cut2.above(error).select(error, cut2);
+            out.truncated = row.weight.times_plus(truncated, out.truncated);
+            let worse = counts & out.worst.up_to(error);
+            out.worst = worse.select(error, out.worst);
+            out.worst_row = worse.select(views.number(k as f64), out.worst_row);
+        }
+        out
     }
 }

@@ -1,13 +1,26 @@
-//! A vector of f64 with operators, so that formulas read as formulas.
+//! Vectors of f64 and their comparisons with operators, so that formulas read as formulas.
 
-use pulp::Simd;
-use std::ops::{Add, Div, Mul, Sub};
+use pulp::{Simd, bytemuck};
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
+
+/// Lanes of the widest instruction set: one AVX-512 register.
+pub const MAX_LANES: usize = 8;
+
+/// A number a lane, in as many lanes as somebody may have.
+pub type Lanes = [f64; MAX_LANES];
 
 /// One number a lane, of whatever number of lanes the dispatched instruction set has.
 #[derive(Clone, Copy)]
 pub struct Real<S: Simd> {
     simd: S,
     lanes: S::f64s,
+}
+
+/// One truth value a lane.
+#[derive(Clone, Copy)]
+pub struct Truth<S: Simd> {
+    simd: S,
+    lanes: S::m64s,
 }
 
 impl<S: Simd> Real<S> {
@@ -17,16 +30,30 @@ impl<S: Simd> Real<S> {
         Self { simd, lanes: simd.splat_f64s(value) }
     }
 
-    /// The `part`-th vector of a column.
+    /// The first entries, one a lane.
     #[inline(always)]
-    pub fn load(simd: S, column: &[f64], part: usize) -> Self {
-        Self { simd, lanes: S::as_simd_f64s(column).0[part] }
+    pub fn from_lanes(simd: S, values: &Lanes) -> Self {
+        Self { simd, lanes: S::as_simd_f64s(values).0[0] }
     }
 
-    /// Writes the `part`-th vector of a column.
+    /// A number a lane, then zeros.
     #[inline(always)]
-    pub fn store(self, column: &mut [f64], part: usize) {
-        S::as_mut_simd_f64s(column).0[part] = self.lanes;
+    pub fn to_lanes(self) -> Lanes {
+        let mut out = [0.0; MAX_LANES];
+        S::as_mut_simd_f64s(&mut out).0[0] = self.lanes;
+        out
+    }
+
+    /// The number of one lane.
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> f64 {
+        bytemuck::cast_slice::<S::f64s, f64>(std::slice::from_ref(&self.lanes))[lane]
+    }
+
+    /// Sets the number of one lane.
+    #[inline(always)]
+    pub fn set_lane(&mut self, lane: usize, value: f64) {
+        bytemuck::cast_slice_mut::<S::f64s, f64>(std::slice::from_mut(&mut self.lanes))[lane] = value;
     }
 
     /// `self * factor + addend`, fused where the instruction set can.
@@ -35,11 +62,22 @@ impl<S: Simd> Real<S> {
         Self { lanes: self.simd.mul_add_e_f64s(self.lanes, factor.lanes, addend.lanes), ..self }
     }
 
-    /// `yes` in the lanes where this is greater than `bound`, elsewhere `no`; NaN is not greater.
+    /// `minuend - self * factor`, fused where the instruction set can.
     #[inline(always)]
-    pub fn select_above(self, bound: Self, yes: Self, no: Self) -> Self {
-        let above = self.simd.greater_than_f64s(self.lanes, bound.lanes);
-        Self { lanes: self.simd.select_f64s(above, yes.lanes, no.lanes), ..self }
+    pub fn times_minus(self, factor: Self, minuend: Self) -> Self {
+        Self { lanes: self.simd.negate_mul_add_e_f64s(self.lanes, factor.lanes, minuend.lanes), ..self }
+    }
+
+    /// Where this is greater than `bound`; NaN is not.
+    #[inline(always)]
+    pub fn above(self, bound: Self) -> Truth<S> {
+        Truth { simd: self.simd, lanes: self.simd.greater_than_f64s(self.lanes, bound.lanes) }
+    }
+
+    /// Where this is at most `bound`; NaN is not.
+    #[inline(always)]
+    pub fn up_to(self, bound: Self) -> Truth<S> {
+        Truth { simd: self.simd, lanes: self.simd.less_than_or_equal_f64s(self.lanes, bound.lanes) }
     }
 
     /// The greater of two, lane by lane.
@@ -48,10 +86,85 @@ impl<S: Simd> Real<S> {
         Self { lanes: self.simd.max_f64s(self.lanes, other.lanes), ..self }
     }
 
-    /// Sum over the lanes.
+    /// The absolute value.
     #[inline(always)]
-    pub fn total(self) -> f64 {
-        self.simd.reduce_sum_f64s(self.lanes)
+    pub fn magnitude(self) -> Self {
+        Self { lanes: self.simd.abs_f64s(self.lanes), ..self }
+    }
+
+    /// Where this is a number and not infinite.
+    #[inline(always)]
+    pub fn finite(self) -> Truth<S> {
+        let infinity = Self::all(self.simd, f64::INFINITY);
+        Truth {
+            simd: self.simd,
+            lanes: self.simd.less_than_f64s(self.simd.abs_f64s(self.lanes), infinity.lanes),
+        }
+    }
+
+    /// The square root.
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self { lanes: self.simd.sqrt_f64s(self.lanes), ..self }
+    }
+}
+
+impl<S: Simd> Truth<S> {
+    /// `yes` where true, elsewhere `no`.
+    #[inline(always)]
+    pub fn select(self, yes: Real<S>, no: Real<S>) -> Real<S> {
+        Real { simd: self.simd, lanes: self.simd.select_f64s(self.lanes, yes.lanes, no.lanes) }
+    }
+
+    /// As [`Truth::select`], of three coordinates.
+    #[inline(always)]
+    pub fn select3(self, yes: [Real<S>; 3], no: [Real<S>; 3]) -> [Real<S>; 3] {
+        [self.select(yes[0], no[0]), self.select(yes[1], no[1]), self.select(yes[2], no[2])]
+    }
+
+    /// False everywhere.
+    #[inline(always)]
+    pub fn nowhere(simd: S) -> Self {
+        let zero = Real::all(simd, 0.0);
+        zero.above(zero)
+    }
+
+    /// Whether any lane is true.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        bytemuck::bytes_of(&self.lanes).iter().any(|byte| *byte != 0)
+    }
+
+    /// Where this holds and `other` does not.
+    #[inline(always)]
+    pub fn except(self, other: Self) -> Self {
+        let both = self.simd.and_m64s(self.lanes, other.lanes);
+        Self { lanes: self.simd.xor_m64s(self.lanes, both), ..self }
+    }
+
+    /// The lanes that are true.
+    #[inline(always)]
+    pub fn lanes(self) -> impl Iterator<Item = usize> {
+        let ones = self.select(Real::all(self.simd, 1.0), Real::all(self.simd, 0.0)).to_lanes();
+        (0..S::F64_LANES).filter(move |&lane| ones[lane] > 0.0)
+    }
+}
+
+impl<S: Simd> BitAnd for Truth<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitand(self, other: Self) -> Self {
+        Self { lanes: self.simd.and_m64s(self.lanes, other.lanes), ..self }
+    }
+}
+
+impl<S: Simd> BitOr for Truth<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitor(self, other: Self) -> Self {
+        Self { lanes: self.simd.or_m64s(self.lanes, other.lanes), ..self }
     }
 }
 
@@ -89,6 +202,25 @@ impl<S: Simd> Div for Real<S> {
     fn div(self, other: Self) -> Self {
         Self { lanes: self.simd.div_f64s(self.lanes, other.lanes), ..self }
     }
+}
+
+/// The same point in every lane.
+#[inline(always)]
+pub fn all3<S: Simd>(simd: S, p: impl Into<[f64; 3]>) -> [Real<S>; 3] {
+    let [x, y, z] = p.into();
+    [Real::all(simd, x), Real::all(simd, y), Real::all(simd, z)]
+}
+
+/// `a + b`.
+#[inline(always)]
+pub fn plus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// `a - b`.
+#[inline(always)]
+pub fn minus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `a . b`.

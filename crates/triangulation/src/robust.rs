@@ -1,6 +1,8 @@
 use crate::normal::Normal;
-use crate::views::{RayWeights, Views};
-use glam::DVec3;
+use crate::passes::{RayWeights, Survey, squared_error};
+use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
+use crate::views::{LensLanes, Views};
+use pulp::{Simd, WithSimd};
 
 /// Residual scales of the robust steps (px).
 #[derive(Clone, Copy, Debug)]
@@ -11,71 +13,217 @@ pub struct Scales {
     pub cut: f64,
 }
 
+/// Twice the cut, squared: the first guess is not refined yet, and a view lost there never returns.
+pub const NEAR2: f64 = 4.0;
 /// Iterations of the soft re-weighting; it only has to land in the basin of the inliers.
 const SOFT_STEPS: usize = 6;
 /// Relative step (of the distance to the cameras) at which it has landed: a fifth of a pixel with f = 2000 px, where the
 /// cut is 4 px.
 const LANDED: f64 = 1e-4;
 /// So many views do not agree by chance when they are three quarters of all.
-const SURE: usize = 5;
+const SURE: f64 = 5.0;
 /// Pairs of views tried when the re-weighted solution still has outliers. With 15 % outliers 72 % of pairs are clean.
 const MAX_PAIRS: usize = 36;
 
-/// A point near the views that agree with each other, from `start`.
+/// Points near the views that agree with each other, from `start`, in the given lanes, and the residuals there.
 ///
 /// Soft re-weighting first; when too many views remain beyond the cut, the intersections of pairs of views compete with
 /// it on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
-pub fn locate(views: &mut Views, start: DVec3, scales: Scales) -> DVec3 {
-    let soft = soften(views, start, scales.soft);
-    let cut2 = scales.cut * scales.cut;
-    let agreeing = views.errors(soft).filter(|e| *e <= cut2).count();
-    if views.len() < 3 || agreeing == views.len() || (agreeing >= SURE && 4 * agreeing >= 3 * views.len()) {
-        return soft;
+#[inline(always)]
+pub fn locate<S: Simd>(
+    views: &Views<S>,
+    lanes: Truth<S>,
+    start: [Real<S>; 3],
+    scales: Scales,
+) -> ([Real<S>; 3], Survey<S>) {
+    let soft = soften(views, lanes, start, scales.soft);
+    let cut2 = views.number(scales.cut * scales.cut);
+    let survey = views.survey(soft, cut2);
+    let most = survey.agreeing.above(views.number(SURE - 1.0))
+        & (views.number(3.0) * views.count).up_to(views.number(4.0) * survey.agreeing);
+    let sure = views.number(3.0).above(views.count) | views.count.up_to(survey.agreeing) | most;
+    let unsure = lanes.except(sure);
+    if !unsure.any() {
+        return (soft, survey);
     }
-    let mut best = (views.truncated_cost(soft, cut2), soft);
-    for (a, b) in pairs(views.len()) {
-        if let Some(point) = intersect(views, a, b) {
-            let cost = views.truncated_cost(point, cut2);
-            if cost < best.0 {
-                best = (cost, point);
-            }
+    let (mut best, mut least) = (soft, survey.truncated);
+    for lane in unsure.lanes() {
+        let found = views.simd.vectorize(PairSearch { views, lane, cut2: scales.cut * scales.cut, least });
+        if let Some((point, cost)) = found {
+            least.set_lane(lane, cost);
+            (0..3).for_each(|axis| best[axis].set_lane(lane, point[axis]));
         }
     }
-    let polished = soften(views, best.1, scales.soft);
-    if views.truncated_cost(polished, cut2) <= best.0 { polished } else { best.1 }
+    let polished = soften(views, unsure, best, scales.soft);
+    let better = views.survey(polished, cut2).truncated.up_to(least);
+    let point = better.select3(polished, best);
+    (point, views.survey(point, cut2))
 }
 
-/// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`.
-pub fn soften(views: &Views, start: DVec3, scale: f64) -> DVec3 {
-    let mut point = start;
+/// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`, in the given lanes.
+#[inline(always)]
+pub fn soften<S: Simd>(views: &Views<S>, lanes: Truth<S>, start: [Real<S>; 3], scale: f64) -> [Real<S>; 3] {
+    let weights = RayWeights::Soft(views.number(1.0 / (scale * scale)));
+    let near = views.number(LANDED) * views.scale;
+    let (mut point, mut moving) = (start, lanes);
     for _ in 0..SOFT_STEPS {
-        let Some(next) = views.rays(point, RayWeights::Soft(scale)).solve() else { break };
-        let step = next - point;
-        point = next;
-        if step.length() <= LANDED * views.scale {
+        let (next, solved) = views.meet(point, weights).solve(views.simd);
+        moving = moving & solved;
+        let step = minus(next, point);
+        point = moving.select3(next, point);
+        moving = moving.except(dot(step, step).sqrt().up_to(near));
+        if !moving.any() {
             break;
         }
     }
     point
 }
 
-/// Point nearest to two rays: `W_a + W_b` is singular only where they are parallel.
-fn intersect(views: &Views, a: usize, b: usize) -> Option<DVec3> {
-    let mut normal = Normal { a: [2.0, 0.0, 0.0, 2.0, 0.0, 2.0], b: [0.0; 3] };
-    let mut sum = DVec3::ZERO;
-    for view in [a, b] {
-        let (d, c) = (views.ray(view), views.center(view));
-        let products = [d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z];
-        normal.a.iter_mut().zip(products).for_each(|(entry, product)| *entry -= product);
-        sum += c - d * d.dot(c);
-    }
-    Normal { b: sum.to_array(), ..normal }.solve()
+/// A view of the one Gaussian at hand.
+struct Sight {
+    lens: usize,
+    target: [f64; 2],
+    weight: f64,
+    ray: [f64; 3],
+    center: [f64; 3],
 }
 
-/// All pairs of `n` views, thinned evenly to at most [`MAX_PAIRS`].
-fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
-    let total = n * (n - 1) / 2;
-    let stride = total.div_ceil(MAX_PAIRS).max(1);
-    let all = (1..n).flat_map(move |gap| (0..n - gap).map(move |a| (a, a + gap)));
-    all.step_by(stride)
+/// The best intersection of two views of one lane's Gaussian, if it is better than `least`: here a pair is a lane.
+struct PairSearch<'a, 'b, S: Simd> {
+    views: &'a Views<'b, S>,
+    lane: usize,
+    cut2: f64,
+    least: Real<S>,
+}
+
+impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
+    type Output = Option<([f64; 3], f64)>;
+
+    #[inline(always)]
+    fn with_simd<T: Simd>(self, _: T) -> Self::Output {
+        let sights = self.sights();
+        let mut pairs = Pairs::of(sights.len());
+        let (mut least, mut best) = (self.least.lane(self.lane), None);
+        loop {
+            let mut batch = [(0, 0); MAX_LANES];
+            let mut used = 0;
+            while used < S::F64_LANES {
+                let Some(pair) = pairs.next() else { break };
+                batch[used] = pair;
+                used += 1;
+            }
+            if used == 0 {
+                return best;
+            }
+            let (points, sound) = self.intersect(&sights, &batch);
+            let costs = self.truncated(&sights, points, least).to_lanes();
+            for lane in sound.lanes() {
+                if lane < used && costs[lane] < least {
+                    least = costs[lane];
+                    best = Some(([points[0].lane(lane), points[1].lane(lane), points[2].lane(lane)], least));
+                }
+            }
+        }
+    }
+}
+
+impl<S: Simd> PairSearch<'_, '_, S> {
+    #[inline(always)]
+    fn previous(&self) -> [f64; 3] {
+        let [x, y, z] = self.views.previous;
+        [x.lane(self.lane), y.lane(self.lane), z.lane(self.lane)]
+    }
+
+    #[inline(always)]
+    fn sights(&self) -> Vec<Sight> {
+        let Self { views, lane, .. } = *self;
+        let origin = self.previous();
+        let mut out = Vec::with_capacity(views.rows.len());
+        for row in &views.rows {
+            let weight = row.weight.lane(lane);
+            if weight > 0.0 {
+                let target = [row.target[0].lane(lane), row.target[1].lane(lane)];
+                let ray = [row.ray[0].lane(lane), row.ray[1].lane(lane), row.ray[2].lane(lane)];
+                let center = views.lenses[row.lens].center_from(origin);
+                out.push(Sight { lens: row.lens, target, weight, ray, center });
+            }
+        }
+        out
+    }
+
+    /// Points nearest to two rays: `W_a + W_b` is singular only where they are parallel.
+    #[inline(always)]
+    fn intersect(&self, sights: &[Sight], pairs: &[(usize, usize); MAX_LANES]) -> ([Real<S>; 3], Truth<S>) {
+        let simd = self.views.simd;
+        let mut normal = Normal::zero(simd);
+        for side in 0..2 {
+            let (mut ray, mut center): ([Lanes; 3], [Lanes; 3]) = Default::default();
+            for lane in 0..S::F64_LANES {
+                let sight = &sights[if side == 0 { pairs[lane].0 } else { pairs[lane].1 }];
+                for axis in 0..3 {
+                    ray[axis][lane] = sight.ray[axis];
+                    center[axis][lane] = sight.center[axis];
+                }
+            }
+            let zero = Real::all(simd, 0.0);
+            let (mut d, mut c) = ([zero; 3], [zero; 3]);
+            for axis in 0..3 {
+                d[axis] = Real::from_lanes(simd, &ray[axis]);
+                c[axis] = Real::from_lanes(simd, &center[axis]);
+            }
+            normal.add_line(d, c, Real::all(simd, 1.0));
+        }
+        normal.solve(simd)
+    }
+
+    /// `sum w min(r^2, cut^2)` of each point; it only grows, so the rest is left out where no point is better than `least`.
+    #[inline(always)]
+    fn truncated(&self, sights: &[Sight], points: [Real<S>; 3], least: f64) -> Real<S> {
+        let simd = self.views.simd;
+        let cut2 = Real::all(simd, self.cut2);
+        let mut cost = Real::all(simd, 0.0);
+        for (k, sight) in sights.iter().enumerate() {
+            if k % 8 == 0 && !Real::all(simd, least).above(cost).any() {
+                break;
+            }
+            let lens = LensLanes {
+                center: all3(simd, sight.center),
+                ..LensLanes::new(simd, &self.views.lenses[sight.lens], [cost; 3])
+            };
+            let target = [Real::all(simd, sight.target[0]), Real::all(simd, sight.target[1])];
+            let error = squared_error(simd, &lens, target, lens.turn(minus(points, lens.center)));
+            cost = Real::all(simd, sight.weight).times_plus(cut2.above(error).select(error, cut2), cost);
+        }
+        cost
+    }
+}
+
+/// All pairs of `n` views, neighbours first, thinned evenly to at most [`MAX_PAIRS`].
+struct Pairs {
+    views: usize,
+    stride: usize,
+    gap: usize,
+    a: usize,
+}
+
+impl Pairs {
+    fn of(views: usize) -> Self {
+        let all = views * (views - 1) / 2;
+        Self { views, stride: all.div_ceil(MAX_PAIRS).max(1), gap: 1, a: 0 }
+    }
+}
+
+impl Iterator for Pairs {
+    type Item = (usize, usize);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, usize)> {
+        while self.gap < self.views && self.a >= self.views - self.gap {
+            self.a -= self.views - self.gap;
+            self.gap += 1;
+        }
+        let pair = (self.a, self.a + self.gap);
+        self.a += self.stride;
+        (self.gap < self.views).then_some(pair)
+    }
 }

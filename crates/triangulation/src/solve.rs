@@ -1,9 +1,12 @@
 use crate::config::TriangulationConfig;
 use crate::normal::Normal;
+use crate::passes::{Fit, RayWeights};
+use crate::real::{MAX_LANES, Real, Truth, dot, plus};
 use crate::robust::{self, Scales};
-use crate::views::{RayWeights, Views};
+use crate::views::Views;
 use ffgs_core::EstimateStatus;
 use glam::{DMat3, DVec3};
+use pulp::Simd;
 
 /// A solved Gaussian, before the noise scale is known.
 #[derive(Clone, Copy, Debug)]
@@ -20,165 +23,424 @@ pub struct Solution {
     pub views: usize,
 }
 
-/// A point with its normal system and weighted squared residuals (px^2).
+/// As [`Solution`], of the Gaussians of all lanes.
 #[derive(Clone, Copy)]
-struct Fit {
-    point: DVec3,
-    normal: Normal,
-    cost: f64,
+struct Summary<S: Simd> {
+    step: [Real<S>; 3],
+    /// xx, xy, xz, yy, yz, zz.
+    unit_covariance: [Real<S>; 6],
+    residuals: Real<S>,
+    views: Real<S>,
 }
 
-/// Solves for the Gaussian whose observations are `views`; views that contradict the others are removed from it.
-pub fn solve(
-    views: &mut Views,
+/// Which lanes still hope for a solution, and why the others do not.
+struct Fates<S: Simd> {
+    alive: Truth<S>,
+    status: [EstimateStatus; MAX_LANES],
+}
+
+impl<S: Simd> Fates<S> {
+    /// Every lane with a Gaussian is alive.
+    #[inline(always)]
+    fn new(views: &Views<S>) -> Self {
+        let alive = views.count.above(views.number(0.0));
+        let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
+        alive.lanes().for_each(|lane| status[lane] = EstimateStatus::Ok);
+        Self { alive, status }
+    }
+
+    /// The lanes that have a first guess are alive.
+    #[inline(always)]
+    fn after(views: &Views<S>, starts: &[Start]) -> (Self, [Real<S>; 3]) {
+        let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
+        let (mut alive, mut points) = ([0.0; MAX_LANES], [[0.0; MAX_LANES]; 3]);
+        for (lane, start) in starts.iter().enumerate() {
+            match start.point {
+                Ok(point) => {
+                    (alive[lane], status[lane]) = (1.0, EstimateStatus::Ok);
+                    (0..3).for_each(|axis| points[axis][lane] = point[axis]);
+                }
+                Err(reason) => status[lane] = reason,
+            }
+        }
+        let mut point = [views.number(0.0); 3];
+        for axis in 0..3 {
+            point[axis] = Real::from_lanes(views.simd, &points[axis]);
+        }
+        (Self { alive: Real::from_lanes(views.simd, &alive).above(views.number(0.0)), status }, point)
+    }
+
+    #[inline(always)]
+    fn outcome(&self, lane: usize) -> Result<(), EstimateStatus> {
+        if self.status[lane] == EstimateStatus::Ok { Ok(()) } else { Err(self.status[lane]) }
+    }
+
+    /// Gives up the lanes among those alive.
+    #[inline(always)]
+    fn fail(&mut self, lanes: Truth<S>, status: EstimateStatus) {
+        let lanes = lanes & self.alive;
+        if lanes.any() {
+            lanes.lanes().for_each(|lane| self.status[lane] = status);
+            self.alive = self.alive.except(lanes);
+        }
+    }
+}
+
+/// Where a Gaussian's solution begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    /// The point (m from the previous mean), or why there is none.
+    pub point: Result<[f64; 3], EstimateStatus>,
+    /// Views that will probably be removed one after another.
+    pub doubtful: u32,
+}
+
+impl Start {
+    /// No Gaussian.
+    pub const NONE: Self = Self { point: Err(EstimateStatus::TooFewViews), doubtful: 0 };
+}
+
+/// First guesses for the Gaussians whose observations are `views`: where most of them agree.
+#[inline(always)]
+pub fn begin<S: Simd>(views: &Views<S>, config: &TriangulationConfig, scales: Scales, out: &mut [Start]) {
+    let mut fates = Fates::new(views);
+    fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
+    let mut point = ray_start(views, config, &mut fates);
+    let mut doubtful = views.number(0.0);
+    if config.robust {
+        (point, doubtful) = consensus(views, point, scales, &mut fates);
+    }
+    for (lane, out) in out.iter_mut().enumerate() {
+        let start = [point[0].lane(lane), point[1].lane(lane), point[2].lane(lane)];
+        *out = Start { point: fates.outcome(lane).map(|()| start), doubtful: doubtful.lane(lane) as u32 };
+    }
+}
+
+/// Solves for the Gaussians whose observations are `views`, from their first guesses; views that contradict the others are
+/// removed from it.
+#[inline(always)]
+pub fn finish<S: Simd>(
+    views: &mut Views<S>,
+    starts: &[Start],
     config: &TriangulationConfig,
     scales: Scales,
-) -> Result<Solution, EstimateStatus> {
-    if views.len() < 2 {
-        return Err(EstimateStatus::TooFewViews);
+    out: &mut [Result<Solution, EstimateStatus>],
+) {
+    let (mut fates, point) = Fates::after(views, starts);
+    let cut2 = config.robust.then_some(scales.cut * scales.cut);
+    if let Some(cut2) = cut2 {
+        views.remove_beyond(fates.alive, point, views.number(robust::NEAR2 * cut2));
     }
-    let start = ray_start(views, config).ok_or(EstimateStatus::Degenerate)?;
-    let start = if config.robust { keep_consistent(views, start, scales)? } else { start };
-    let fit = if config.robust {
-        let rough = refine(views, start, config, ROUGH)?;
-        settle(views, rough, config, scales)?
-    } else {
-        refine(views, start, config, CONVERGED)?
-    };
-    let solution = summarise(views, &fit)?;
-    Ok(drop_collinear(views, solution, config))
+    let fit = settle(views, point, config, cut2, &mut fates);
+    let mut summary = summarise(views, &fit, &mut fates);
+    if config.collinear_degrees != 0.0 {
+        summary = drop_collinear(views, summary, config, &fates);
+    }
+    for (lane, out) in out.iter_mut().enumerate() {
+        *out = fates.outcome(lane).map(|()| summary.lane(lane));
+    }
 }
 
 /// Plain rays, re-weighted once with the solution's own depths.
-fn ray_start(views: &Views, config: &TriangulationConfig) -> Option<DVec3> {
-    if !config.depth_weighting {
-        return views.rays(DVec3::ZERO, RayWeights::Plain).solve();
-    }
-    let first = views.rays(DVec3::ZERO, RayWeights::Depth).solve()?;
-    views.rays(first, RayWeights::Depth).solve()
-}
-
-/// Moves to the consensus and removes the views beyond the cut there.
-fn keep_consistent(views: &mut Views, start: DVec3, scales: Scales) -> Result<DVec3, EstimateStatus> {
-    let point = robust::locate(views, start, scales);
-    // Twice the cut: the point is not refined yet, and a view lost here never returns.
-    let cut2 = 4.0 * scales.cut * scales.cut;
-    let (mut kept, mut in_front) = (0, 0);
-    for error in views.errors(point) {
-        kept += usize::from(error <= cut2);
-        in_front += usize::from(error < f64::INFINITY);
-    }
-    if kept < 2 {
-        let hidden = in_front < 2;
-        return Err(if hidden { EstimateStatus::BehindCamera } else { EstimateStatus::Residual });
-    }
-    if kept < views.len() {
-        views.remove_where(point, |error| !(error <= cut2));
-    }
-    Ok(point)
-}
-
-/// Redescending rounds: drop the views beyond the cut, refine on the rest.
-fn settle(
-    views: &mut Views,
-    mut fit: Fit,
-    config: &TriangulationConfig,
-    scales: Scales,
-) -> Result<Fit, EstimateStatus> {
-    let cut2 = scales.cut * scales.cut;
-    while let Some(worst) = worst_beyond(views, fit.point, cut2) {
-        if views.len() <= 2 {
-            return Err(EstimateStatus::Residual);
-        }
-        views.remove(|view| view == worst);
-        fit = refine(views, fit.point, config, ROUGH)?;
-    }
-    if config.refine {
-        Ok(gauss_newton(views, fit, CONVERGED))
-    } else {
-        refine(views, fit.point, config, CONVERGED)
-    }
-}
-
-fn worst_beyond(views: &mut Views, point: DVec3, cut2: f64) -> Option<usize> {
-    let errors = views.errors(point).enumerate();
-    errors.filter(|(_, e)| *e > cut2).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
-}
-
-/// The least-squares point of the given views, from `start`.
-fn refine(
-    views: &Views,
-    start: DVec3,
-    config: &TriangulationConfig,
-    tolerance: f64,
-) -> Result<Fit, EstimateStatus> {
-    if config.refine {
-        let (normal, cost) = views.reprojection(start).ok_or(EstimateStatus::BehindCamera)?;
-        return Ok(gauss_newton(views, Fit { point: start, normal, cost }, tolerance));
-    }
+#[inline(always)]
+fn ray_start<S: Simd>(views: &Views<S>, config: &TriangulationConfig, fates: &mut Fates<S>) -> [Real<S>; 3] {
     let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
-    let point = views.rays(start, weights).solve().unwrap_or(start);
-    Ok(Fit { point, normal: views.rays(point, RayWeights::Depth), cost: views.ray_cost(point) })
+    let mut point = [views.number(0.0); 3];
+    for _ in 0..if config.depth_weighting { 2 } else { 1 } {
+        let (next, solved) = views.meet(point, weights).solve(views.simd);
+        fates.fail(fates.alive.except(solved), EstimateStatus::Degenerate);
+        point = next;
+    }
+    point
+}
+
+/// Moves to the consensus, which needs two views near it; also the number of views between the cut and twice the cut there.
+#[inline(always)]
+fn consensus<S: Simd>(
+    views: &Views<S>,
+    start: [Real<S>; 3],
+    scales: Scales,
+    fates: &mut Fates<S>,
+) -> ([Real<S>; 3], Real<S>) {
+    let (point, survey) = robust::locate(views, fates.alive, start, scales);
+    let two = views.number(2.0);
+    let lost = two.above(survey.near);
+    fates.fail(lost & two.above(survey.in_front), EstimateStatus::BehindCamera);
+    fates.fail(lost, EstimateStatus::Residual);
+    (point, survey.near - survey.agreeing)
 }
 
 /// Gauss-Newton steps, at most; four suffice from the rays' solution, the rest is for narrow baselines.
-const MAX_STEPS: usize = 20;
+const MAX_STEPS: f64 = 20.0;
 /// Relative step (of the distance to the cameras) at which the iteration has converged: nanometres at 1 m, and what is
 /// left is a thousandth of the last step.
 const CONVERGED: f64 = 1e-9;
 /// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
 const ROUGH: f64 = 1e-6;
+/// Bound on the change of a residual (px) with a step, in pixels a metre straight ahead: half an image of 140 degrees.
+const MARGIN: f64 = 8.0;
 
-/// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt).
-fn gauss_newton(views: &Views, start: Fit, tolerance: f64) -> Fit {
-    let (mut best, mut damping) = (start, 0.0_f64);
-    for _ in 0..MAX_STEPS {
-        let Some(step) = best.normal.damped(damping).solve() else { break };
-        let point = best.point + step;
-        let small = step.length() <= tolerance * views.scale;
-        match views.reprojection(point) {
-            Some((normal, cost)) if cost <= best.cost => {
-                best = Fit { point, normal, cost };
-                damping = if damping > 1e-6 { damping * 0.1 } else { 0.0 };
-            }
-            _ => damping = (damping * 10.0).max(1e-3),
+/// The least-squares points, from `start`. With a cut, in redescending rounds: drop the worst view beyond it, refine on
+/// the rest.
+#[inline(always)]
+fn settle<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    config: &TriangulationConfig,
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    if config.refine {
+        gauss_newton(views, start, cut2, fates)
+    } else {
+        rays_only(views, start, config, cut2, fates)
+    }
+}
+
+/// Minimises the weighted reprojection error; a step that raises it is damped (Levenberg-Marquardt). Every lane is in a
+/// round of its own: roughly converged, it removes a view and begins anew, or goes on to the end.
+#[inline(always)]
+fn gauss_newton<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    let simd = views.simd;
+    let (zero, one) = (views.number(0.0), views.number(1.0));
+    let (mut fit, hidden) = views.reproject(start);
+    fates.fail(hidden, EstimateStatus::BehindCamera);
+    let nowhere = Truth::nowhere(simd);
+    let rough = if cut2.is_some() { fates.alive } else { nowhere };
+    let mut rounds = Rounds { running: fates.alive, rough, stale: nowhere, damping: zero, steps: zero };
+    let cut2 = views.number(cut2.unwrap_or(f64::INFINITY));
+    // Lanes that lost a view and found no step since: they sum once more where they are.
+    let mut again = nowhere;
+    while rounds.running.any() {
+        let (mut step, mut solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
+        let mut small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
+        let landed = (rounds.running & rounds.rough & solved & small).except(rounds.stale | again);
+        let landed = landed & fit.certain(views, step, cut2);
+        if landed.any() {
+            rounds.land(landed, views, &mut fit, cut2, fates);
+            (step, solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
+            small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
         }
-        if small {
-            break;
+        let stepping = (rounds.running & solved).except(again);
+        let (trial, hidden) = views.reproject(stepping.select3(plus(fit.point, step), fit.point));
+        let better = (stepping & trial.cost.up_to(fit.cost)).except(hidden);
+        fit = Fit::select(better | again, trial, fit);
+        rounds.stale = rounds.stale.except(better | again);
+        let less = rounds.damping.above(views.number(1e-6)).select(rounds.damping * views.number(0.1), zero);
+        let more = (rounds.damping * views.number(10.0)).or_greater(views.number(1e-3));
+        rounds.damping = better.select(less, stepping.select(more, rounds.damping));
+        rounds.steps = stepping.select(rounds.steps + one, rounds.steps);
+        small = small | views.number(MAX_STEPS).up_to(rounds.steps);
+        let ended = again | (stepping & small) | rounds.running.except(stepping);
+        rounds.running = rounds.running.except(ended.except(rounds.rough));
+        let landed = ended & rounds.running & rounds.rough;
+        again = landed & rounds.stale;
+        let landed = landed.except(again);
+        if landed.any() {
+            rounds.land(landed, views, &mut fit, cut2, fates);
         }
     }
-    best
+    fit
+}
+
+/// The round each lane is in.
+struct Rounds<S: Simd> {
+    running: Truth<S>,
+    /// Lanes whose views are still being chosen.
+    rough: Truth<S>,
+    /// Lanes that lost a view since their last full sum.
+    stale: Truth<S>,
+    damping: Real<S>,
+    /// Steps in this round.
+    steps: Real<S>,
+}
+
+impl<S: Simd> Rounds<S> {
+    /// Length of a last step (m).
+    #[inline(always)]
+    fn tolerance(&self, views: &Views<S>) -> Real<S> {
+        self.rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale
+    }
+
+    /// Ends the rough round of the lanes: the worst view goes if it is beyond the cut, or else the last round begins.
+    #[inline(always)]
+    fn land(
+        &mut self,
+        lanes: Truth<S>,
+        views: &mut Views<S>,
+        fit: &mut Fit<S>,
+        cut2: Real<S>,
+        fates: &mut Fates<S>,
+    ) {
+        let beyond = lanes & fit.worst.above(cut2);
+        let lost = beyond & views.count.up_to(views.number(2.0));
+        fates.fail(lost, EstimateStatus::Residual);
+        self.running = self.running.except(lost);
+        let fewer = beyond.except(lost);
+        if fewer.any() {
+            views.remove_worst(fewer, fit);
+        }
+        self.stale = self.stale | fewer;
+        self.rough = self.rough.except(lanes.except(beyond));
+        self.damping = lanes.select(views.number(0.0), self.damping);
+        self.steps = lanes.select(views.number(0.0), self.steps);
+    }
+}
+
+/// As [`gauss_newton`] with the weighted rays alone: a re-weighting a round.
+#[inline(always)]
+fn rays_only<S: Simd>(
+    views: &mut Views<S>,
+    start: [Real<S>; 3],
+    config: &TriangulationConfig,
+    cut2: Option<f64>,
+    fates: &mut Fates<S>,
+) -> Fit<S> {
+    let simd = views.simd;
+    let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
+    let mut point = start;
+    let mut moving = fates.alive;
+    let mut survey = None;
+    loop {
+        let (next, solved) = views.meet(point, weights).solve(simd);
+        point = (moving & solved).select3(next, point);
+        let Some(cut2) = cut2.filter(|_| survey.is_none()) else { break };
+        let found = views.survey(point, views.number(cut2));
+        moving = fates.alive & found.worst.above(views.number(cut2));
+        let lost = moving & views.count.up_to(views.number(2.0));
+        fates.fail(lost, EstimateStatus::Residual);
+        moving = moving.except(lost);
+        views.remove(moving, found.worst_row);
+        if !moving.any() {
+            moving = fates.alive;
+            survey = Some(found);
+        }
+    }
+    let zero = views.number(0.0);
+    let normal = views.meet(point, RayWeights::Depth);
+    let cost = views.ray_cost(point);
+    Fit { point, normal, cost, worst: zero, worst_row: zero, second: zero, reach: zero }
 }
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
-fn summarise(views: &Views, fit: &Fit) -> Result<Solution, EstimateStatus> {
-    let (n, mean) = (views.len(), views.mean_weight());
-    if !fit.cost.is_finite() {
-        return Err(EstimateStatus::BehindCamera);
+#[inline(always)]
+fn summarise<S: Simd>(views: &Views<S>, fit: &Fit<S>, fates: &mut Fates<S>) -> Summary<S> {
+    let mean = views.mean_weight();
+    fates.fail(fates.alive.except(fit.cost.finite()), EstimateStatus::BehindCamera);
+    let (mut unit_covariance, sound) = fit.normal.inverse(views.simd);
+    fates.fail(fates.alive.except(sound), EstimateStatus::Degenerate);
+    for entry in &mut unit_covariance {
+        *entry = *entry * mean;
     }
-    let unit_covariance = fit.normal.inverse().ok_or(EstimateStatus::Degenerate)? * mean;
-    let residuals = fit.cost / mean;
-    Ok(Solution { step: fit.point, unit_covariance, residuals, degrees: 2.0 * n as f64 - 3.0, views: n })
+    Summary { step: fit.point, unit_covariance, residuals: fit.cost / mean, views: views.count }
+}
+
+impl<S: Simd> Summary<S> {
+    /// Degrees of freedom, 2 V - 3.
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> Solution {
+        let [xx, xy, xz, yy, yz, zz] = self.unit_covariance;
+        let columns = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
+        let (mut step, mut unit_covariance) = ([0.0; 3], [0.0; 9]);
+        for k in 0..3 {
+            step[k] = self.step[k].lane(lane);
+        }
+        for k in 0..9 {
+            unit_covariance[k] = columns[k].lane(lane);
+        }
+        let views = self.views.lane(lane);
+        Solution {
+            step: step.into(),
+            unit_covariance: DMat3::from_cols_array(&unit_covariance),
+            residuals: self.residuals.lane(lane),
+            degrees: 2.0 * views - 3.0,
+            views: views as usize,
+        }
+    }
+
+    #[inline(always)]
+    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+        let mut out = no;
+        out.step = place.select3(yes.step, no.step);
+        for k in 0..6 {
+            out.unit_covariance[k] = place.select(yes.unit_covariance[k], no.unit_covariance[k]);
+        }
+        out.residuals = place.select(yes.residuals, no.residuals);
+        out.views = place.select(yes.views, no.views);
+        out
+    }
+
+    /// Standard deviation along a unit vector (m), for a noise variance (px^2).
+    #[inline(always)]
+    fn sigma(&self, direction: [Real<S>; 3], variance: Real<S>) -> Real<S> {
+        let [xx, xy, xz, yy, yz, zz] = self.unit_covariance;
+        let across = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+        let along = [dot(across[0], direction), dot(across[1], direction), dot(across[2], direction)];
+        (variance * dot(direction, along)).sqrt()
+    }
 }
 
 /// Discards the views whose ray is nearly parallel to the motion (Algorithm 1, line 22) and solves again.
-fn drop_collinear(views: &mut Views, solution: Solution, config: &TriangulationConfig) -> Solution {
-    let length = solution.step.length();
-    if config.collinear_degrees == 0.0 || length == 0.0 {
-        return solution;
-    }
-    let direction = solution.step / length;
+#[inline(always)]
+fn drop_collinear<S: Simd>(
+    views: &mut Views<S>,
+    first: Summary<S>,
+    config: &TriangulationConfig,
+    fates: &Fates<S>,
+) -> Summary<S> {
+    let (zero, one) = (views.number(0.0), views.number(1.0));
+    let length = dot(first.step, first.step).sqrt();
+    let direction = [first.step[0] / length, first.step[1] / length, first.step[2] / length];
     // Without a pooled scale yet, 1 px counts as much as the Gaussian's own residuals.
-    let variance = (1.0 + solution.residuals) / (1.0 + solution.degrees);
-    let sigma = (variance * direction.dot(solution.unit_covariance * direction)).sqrt();
-    let limit = config.collinear_degrees.to_radians().cos();
-    let along: Vec<bool> = (0..views.len()).map(|v| !(views.ray(v).dot(direction).abs() <= limit)).collect();
-    let remaining = along.iter().filter(|a| !**a).count();
-    if length < config.collinear_min_sigma * sigma || remaining < 2 || remaining == views.len() {
-        return solution;
+    let degrees = views.number(2.0) * first.views - views.number(3.0);
+    let variance = (one + first.residuals) / (one + degrees);
+    let shortest = views.number(config.collinear_min_sigma) * first.sigma(direction, variance);
+    let limit = views.number(config.collinear_degrees.to_radians().cos());
+    let mut remaining = zero;
+    for row in &mut views.rows {
+        let across = row.weight.above(zero) & dot(row.ray, direction).magnitude().up_to(limit);
+        row.weight = across.select(row.weight, zero);
+        remaining = remaining + across.select(one, zero);
     }
-    views.remove(|view| along[view]);
+    let fewer = views.number(1.5).up_to(remaining) & first.views.above(remaining);
+    let lanes = (fates.alive & length.above(zero) & fewer).except(shortest.above(length));
+    if !lanes.any() {
+        return first;
+    }
+    views.count = remaining;
     // Fewer views may no longer fix the point; then the solution with all of them stands.
-    let again = refine(views, solution.step, config, CONVERGED);
-    again.and_then(|fit| summarise(views, &fit)).unwrap_or(solution)
+    let mut again = Fates { alive: lanes, status: fates.status };
+    let fit = settle(views, first.step, config, None, &mut again);
+    let second = summarise(views, &fit, &mut again);
+    Summary::select(again.alive, second, first)
+}
+
+impl<S: Simd> Fit<S> {
+    /// Where a step cannot change which view is the worst, nor whether it is within the cut: then it need not be taken to
+    /// tell. No residual changes by more than a few times the step at the nearest camera's pixels a metre.
+    #[inline(always)]
+    fn certain(&self, views: &Views<S>, step: [Real<S>; 3], cut2: Real<S>) -> Truth<S> {
+        let margin = views.number(MARGIN) * dot(step, step).sqrt() * self.reach;
+        let (worst, second, cut) = (self.worst.sqrt(), self.second.sqrt(), cut2.sqrt());
+        let first = (worst - second).above(margin + margin);
+        cut.above(worst + margin) | (first & (worst - margin).above(cut))
+    }
+
+    #[inline(always)]
+    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+        Self {
+            point: place.select3(yes.point, no.point),
+            normal: Normal::select(place, yes.normal, no.normal),
+            cost: place.select(yes.cost, no.cost),
+            worst: place.select(yes.worst, no.worst),
+            worst_row: place.select(yes.worst_row, no.worst_row),
+            second: place.select(yes.second, no.second),
+            reach: place.select(yes.reach, no.reach),
+        }
+    }
 }

@@ -1,50 +1,9 @@
-//! The views of one Gaussian, in blocks of a fixed number of lanes, and what is summed over them.
+//! The views of several Gaussians side by side: a Gaussian a lane, a view a row.
 
-use crate::normal::Normal;
-use crate::passes::{ErrorPass, RayPass, RayResidualPass, ReprojectionPass, TruncatedPass};
+use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
 use ffgs_core::{Camera, Observations};
 use glam::{DMat3, DVec2, DVec3};
-use pulp::Arch;
-
-/// Views a block: one AVX-512 register of f64, two of AVX2.
-pub const LANES: usize = 8;
-
-/// One value of each view of a block.
-pub type Column = [f64; LANES];
-
-/// Views that observed the Gaussian at hand, in coordinates whose origin is the previous mean, a column a parameter.
-/// Lanes without a view have weight 0.
-#[derive(Clone, Copy, Debug)]
-#[repr(align(64))]
-pub struct Block {
-    /// Rotation of `camera_from_world`, row by row.
-    pub rotation: [Column; 9],
-    /// Previous mean in camera coordinates (m).
-    pub origin_in_camera: [Column; 3],
-    /// Camera centre relative to the previous mean (m).
-    pub center: [Column; 3],
-    /// Unit viewing ray through the target.
-    pub ray: [Column; 3],
-    /// Focal lengths (px).
-    pub focal: [Column; 2],
-    /// Target less principal point (px).
-    pub target: [Column; 2],
-    /// Observation weight, scaled to mean 1 over the Gaussian's views; 0 = removed.
-    pub weight: Column,
-}
-
-impl Block {
-    /// No views: numbers that no pass divides by zero with.
-    const EMPTY: Self = Self {
-        rotation: [[0.0; LANES]; 9],
-        origin_in_camera: [[1.0; LANES]; 3],
-        center: [[1.0; LANES]; 3],
-        ray: [[1.0; LANES]; 3],
-        focal: [[1.0; LANES]; 2],
-        target: [[0.0; LANES]; 2],
-        weight: [0.0; LANES],
-    };
-}
+use pulp::Simd;
 
 /// What of a camera every Gaussian needs.
 #[derive(Clone, Copy, Debug)]
@@ -67,166 +26,195 @@ impl From<&Camera> for Lens {
     }
 }
 
-/// How rays are weighted at a point.
-#[derive(Clone, Copy, Debug)]
-pub enum RayWeights {
-    /// By the observations' weights alone.
-    Plain,
-    /// Times `(f / z)^2`, which turns squared distances to the ray into px^2.
-    Depth,
-    /// That over `1 + (r / scale)^2`, the residual against a scale (px).
-    Soft(f64),
-}
-
-/// The views of one Gaussian; reused from Gaussian to Gaussian.
-#[derive(Clone, Debug)]
-pub struct Views {
-    arch: Arch,
-    blocks: Vec<Block>,
-    errors: Vec<Column>,
-    /// Block and lane of each view left.
-    places: Vec<(usize, usize)>,
-    /// Distance of the farthest camera (m).
-    pub scale: f64,
-}
-
-impl Default for Views {
-    fn default() -> Self {
-        Self { arch: Arch::new(), blocks: Vec::new(), errors: Vec::new(), places: Vec::new(), scale: 0.0 }
+impl Lens {
+    /// Its centre relative to a point (m).
+    #[inline(always)]
+    pub fn center_from(&self, origin: [f64; 3]) -> [f64; 3] {
+        [self.center.x - origin[0], self.center.y - origin[1], self.center.z - origin[2]]
     }
 }
 
-impl Views {
-    /// Fills with the views that observed Gaussian `i`, weights scaled to mean 1.
-    pub fn gather(&mut self, previous: DVec3, lenses: &[Lens], observations: &Observations, i: usize) {
-        self.blocks.clear();
-        self.places.clear();
-        let (mut sum, mut farthest) = (0.0, 0.0_f64);
-        for (v, lens) in lenses.iter().enumerate() {
-            let entry = v * observations.gaussians + i;
-            let weight = observations.weights[entry];
-            if !(weight > 0.0 && weight.is_finite()) {
+/// One view of all lanes' Gaussians.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub struct Row<S: Simd> {
+    /// Its camera.
+    pub lens: usize,
+    /// Target less principal point (px); 0 where unobserved.
+    pub target: [Real<S>; 2],
+    /// Unit viewing ray through the target; 0 where it was not asked for.
+    pub ray: [Real<S>; 3],
+    /// Observation weight, scaled to mean 1 over the Gaussian's views; 0 = unobserved or removed.
+    pub weight: Real<S>,
+}
+
+/// The views of one Gaussian a lane, in coordinates whose origin is its previous mean. A lane knows nothing of the others:
+/// what is summed in it is the same in any company.
+pub struct Views<'a, S: Simd> {
+    pub simd: S,
+    pub lenses: &'a [Lens],
+    /// The views that any lane's Gaussian was observed in, in order.
+    pub rows: Vec<Row<S>>,
+    /// Previous means (m).
+    pub previous: [Real<S>; 3],
+    /// Number of views left.
+    pub count: Real<S>,
+    /// Distance of the farthest camera (m).
+    pub scale: Real<S>,
+}
+
+/// A camera in all lanes.
+#[derive(Clone, Copy)]
+pub struct LensLanes<S: Simd> {
+    /// Rows of the rotation of `camera_from_world`.
+    pub rotation: [[Real<S>; 3]; 3],
+    /// Centre relative to the previous mean (m).
+    pub center: [Real<S>; 3],
+    /// Focal lengths (px).
+    pub focal: [Real<S>; 2],
+}
+
+impl<S: Simd> LensLanes<S> {
+    #[inline(always)]
+    pub fn new(simd: S, lens: &Lens, previous: [Real<S>; 3]) -> Self {
+        let [x, y, z] = [lens.rotation.x_axis, lens.rotation.y_axis, lens.rotation.z_axis];
+        Self {
+            rotation: [all3(simd, [x.x, y.x, z.x]), all3(simd, [x.y, y.y, z.y]), all3(simd, [x.z, y.z, z.z])],
+            center: minus(all3(simd, lens.center), previous),
+            focal: [Real::all(simd, lens.focal.x), Real::all(simd, lens.focal.y)],
+        }
+    }
+
+    /// World vectors as the camera sees them.
+    #[inline(always)]
+    pub fn turn(&self, offset: [Real<S>; 3]) -> [Real<S>; 3] {
+        [dot(self.rotation[0], offset), dot(self.rotation[1], offset), dot(self.rotation[2], offset)]
+    }
+}
+
+impl<'a, S: Simd> Views<'a, S> {
+    /// No views of no Gaussians.
+    #[inline(always)]
+    pub fn new(simd: S, lenses: &'a [Lens]) -> Self {
+        let zero = Real::all(simd, 0.0);
+        Self {
+            simd,
+            lenses,
+            rows: Vec::with_capacity(lenses.len()),
+            previous: [zero; 3],
+            count: zero,
+            scale: zero,
+        }
+    }
+
+    #[inline(always)]
+    pub fn number(&self, value: f64) -> Real<S> {
+        Real::all(self.simd, value)
+    }
+
+    /// Fills with the views that observed the given Gaussians, one a lane (the rest of the lanes none), weights scaled to
+    /// mean 1.
+    #[inline(always)]
+    pub fn gather(&mut self, previous: &[DVec3], observations: &Observations, gaussians: &[u32], rays: bool) {
+        let (zero, one) = (self.number(0.0), self.number(1.0));
+        // Lanes without a Gaussian repeat the first, with no views.
+        let (mut places, mut used) = ([gaussians[0] as usize; MAX_LANES], [0.0; MAX_LANES]);
+        for (lane, &i) in gaussians.iter().enumerate() {
+            (places[lane], used[lane]) = (i as usize, 1.0);
+        }
+        let used = Real::from_lanes(self.simd, &used).above(zero);
+        let mut origins = [[0.0; MAX_LANES]; 3];
+        for lane in 0..S::F64_LANES {
+            for axis in 0..3 {
+                origins[axis][lane] = previous[places[lane]][axis];
+            }
+        }
+        for axis in 0..3 {
+            self.previous[axis] = Real::from_lanes(self.simd, &origins[axis]);
+        }
+        self.rows.clear();
+        let (mut sum, mut count, mut farthest) = (zero, zero, zero);
+        for lens in 0..self.lenses.len() {
+            let (mut row, observed) = self.row(lens, observations, &places, used);
+            if !observed.any() {
                 continue;
             }
-            let target = observations.targets[entry];
-            if target.is_finite() {
-                sum += weight;
-                farthest = farthest.max(self.push(previous, lens, target, weight));
+            sum = sum + row.weight;
+            count = count + observed.select(one, zero);
+            let parts = LensLanes::new(self.simd, &self.lenses[lens], self.previous);
+            farthest = observed.select(farthest.or_greater(dot(parts.center, parts.center)), farthest);
+            if rays {
+                row.ray = self.ray(&parts, row.target);
             }
+            self.rows.push(row);
         }
         self.scale = farthest.sqrt();
-        self.errors.resize(self.blocks.len(), [0.0; LANES]);
-        let per_weight = self.places.len() as f64 / sum;
-        for &(block, lane) in &self.places {
-            self.blocks[block].weight[lane] *= per_weight;
+        self.count = count;
+        let per_weight = count / sum;
+        for row in &mut self.rows {
+            row.weight = row.weight.above(zero).select(row.weight * per_weight, zero);
         }
     }
 
-    /// Adds a view; squared distance of its camera (m^2).
-    fn push(&mut self, previous: DVec3, lens: &Lens, target: DVec2, weight: f64) -> f64 {
-        let (block, k) = (self.places.len() / LANES, self.places.len() % LANES);
-        if k == 0 {
-            self.blocks.push(Block::EMPTY);
+    /// A view as observed, and where it was.
+    #[inline(always)]
+    fn row(
+        &self,
+        lens: usize,
+        observations: &Observations,
+        places: &[usize; MAX_LANES],
+        used: Truth<S>,
+    ) -> (Row<S>, Truth<S>) {
+        let (mut x, mut y, mut weight): (Lanes, Lanes, Lanes) = Default::default();
+        let first = lens * observations.gaussians;
+        let entries = first..first + observations.gaussians;
+        let (targets, weights) = (&observations.targets[entries.clone()], &observations.weights[entries]);
+        for lane in 0..S::F64_LANES {
+            weight[lane] = weights[places[lane]];
+            let target = targets[places[lane]];
+            (x[lane], y[lane]) = (target.x, target.y);
         }
-        self.places.push((block, k));
-        let out = &mut self.blocks[block];
-        let center = lens.center - previous;
-        let origin = lens.rotation * -center;
-        let target = target - lens.principal;
-        let ray = (lens.rotation.transpose() * (target / lens.focal).extend(1.0)).normalize();
-        // Columns of the transpose are rows.
-        let rows = lens.rotation.transpose().to_cols_array();
-        (out.rotation.iter_mut().zip(rows)).for_each(|(column, value)| column[k] = value);
-        for axis in 0..3 {
-            out.center[axis][k] = center[axis];
-            out.origin_in_camera[axis][k] = origin[axis];
-            out.ray[axis][k] = ray[axis];
-        }
-        for axis in 0..2 {
-            out.focal[axis][k] = lens.focal[axis];
-            out.target[axis][k] = target[axis];
-        }
-        out.weight[k] = weight;
-        center.length_squared()
+        let (x, y) = (Real::from_lanes(self.simd, &x), Real::from_lanes(self.simd, &y));
+        let weight = Real::from_lanes(self.simd, &weight);
+        let zero = self.number(0.0);
+        let observed = used & weight.above(zero) & weight.finite() & x.finite() & y.finite();
+        let principal = self.lenses[lens].principal;
+        let target = [
+            observed.select(x - self.number(principal.x), zero),
+            observed.select(y - self.number(principal.y), zero),
+        ];
+        (Row { lens, target, ray: [zero; 3], weight: observed.select(weight, zero) }, observed)
     }
 
-    /// Number of views left.
-    pub fn len(&self) -> usize {
-        self.places.len()
+    /// Unit rays through the targets.
+    #[inline(always)]
+    fn ray(&self, lens: &LensLanes<S>, target: [Real<S>; 2]) -> [Real<S>; 3] {
+        let (x, y) = (target[0] / lens.focal[0], target[1] / lens.focal[1]);
+        let [right, down, away] = lens.rotation;
+        let mut ray = [x; 3];
+        for k in 0..3 {
+            ray[k] = right[k].times_plus(x, down[k].times_plus(y, away[k]));
+        }
+        let per_length = self.number(1.0) / dot(ray, ray).sqrt();
+        [ray[0] * per_length, ray[1] * per_length, ray[2] * per_length]
     }
 
     /// Mean weight of the views left.
-    pub fn mean_weight(&self) -> f64 {
-        self.places.iter().map(|&(b, k)| self.blocks[b].weight[k]).sum::<f64>() / self.len() as f64
+    #[inline(always)]
+    pub fn mean_weight(&self) -> Real<S> {
+        let mut sum = self.number(0.0);
+        for row in &self.rows {
+            sum = sum + row.weight;
+        }
+        sum / self.count
     }
 
-    /// Weighted meeting point of the rays as a normal system (Algorithm 1, line 23): `A = sum w W`, `b = sum w W c`,
-    /// `W = I - d d^T`, with the weights of `point`.
-    pub fn rays(&self, point: DVec3, weights: RayWeights) -> Normal {
-        self.arch.dispatch(RayPass { blocks: &self.blocks, point: point.to_array(), weights })
-    }
-
-    /// `sum w J^T J` and `sum w J^T r` of the projections at `point`, and the cost `sum w r^2` (px^2); `None` when the
-    /// point is not in front of every camera.
-    pub fn reprojection(&self, point: DVec3) -> Option<(Normal, f64)> {
-        let (normal, cost, hidden) =
-            self.arch.dispatch(ReprojectionPass { blocks: &self.blocks, point: point.to_array() });
-        (!hidden).then_some((normal, cost))
-    }
-
-    /// Squared residuals (px^2) of the views left, infinite behind a camera.
-    pub fn errors(&mut self, point: DVec3) -> impl Iterator<Item = f64> {
-        let Self { arch, blocks, errors, places, .. } = self;
-        arch.dispatch(ErrorPass { blocks, point: point.to_array(), errors });
-        places.iter().map(|&(b, k)| errors[b][k])
-    }
-
-    /// As [`Views::errors`], each times its view's weight.
-    pub fn weighted_errors(&mut self, point: DVec3) -> impl Iterator<Item = f64> {
-        let Self { arch, blocks, errors, places, .. } = self;
-        arch.dispatch(ErrorPass { blocks, point: point.to_array(), errors });
-        places.iter().map(|&(b, k)| blocks[b].weight[k] * errors[b][k])
-    }
-
-    /// `sum w min(r^2, cut2)`.
-    pub fn truncated_cost(&self, point: DVec3, cut2: f64) -> f64 {
-        self.arch.dispatch(TruncatedPass { blocks: &self.blocks, point: point.to_array(), cut2 })
-    }
-
-    /// Weighted squared distances to the rays in pixels, infinite behind a camera.
-    pub fn ray_cost(&self, point: DVec3) -> f64 {
-        self.arch.dispatch(RayResidualPass { blocks: &self.blocks, point: point.to_array() })
-    }
-
-    /// Removes the views for which `drop` holds, given the squared residual at `point`.
-    pub fn remove_where(&mut self, point: DVec3, drop: impl Fn(f64) -> bool) {
-        let dropped: Vec<bool> = self.errors(point).map(drop).collect();
-        self.remove(|view| dropped[view]);
-    }
-
-    /// Removes the views for which `drop(position in the list)` holds.
-    pub fn remove(&mut self, drop: impl Fn(usize) -> bool) {
-        let Self { blocks, places, .. } = self;
-        let mut view = 0;
-        places.retain(|&(b, k)| {
-            let gone = drop(view);
-            view += 1;
-            if gone {
-                blocks[b].weight[k] = 0.0;
-            }
-            !gone
-        });
-    }
-
-    /// Unit ray of a view.
-    pub fn ray(&self, view: usize) -> DVec3 {
-        let (b, k) = self.places[view];
-        DVec3::new(self.blocks[b].ray[0][k], self.blocks[b].ray[1][k], self.blocks[b].ray[2][k])
-    }
-
-    /// Camera centre of a view (m).
-    pub fn center(&self, view: usize) -> DVec3 {
-        let (b, k) = self.places[view];
-        DVec3::new(self.blocks[b].center[0][k], self.blocks[b].center[1][k], self.blocks[b].center[2][k])
+    /// Removes a row, of each lane its own.
+    #[inline(always)]
+    pub fn remove(&mut self, lanes: Truth<S>, rows: Real<S>) {
+        for lane in lanes.lanes() {
+            self.rows[rows.lane(lane) as usize].weight.set_lane(lane, 0.0);
+        }
+        self.count = lanes.select(self.count - self.number(1.0), self.count);
     }
 }

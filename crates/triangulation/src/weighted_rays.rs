@@ -1,9 +1,12 @@
 use crate::config::TriangulationConfig;
+use crate::passes::RayWeights;
+use crate::real::MAX_LANES;
 use crate::robust::{self, Scales};
-use crate::solve::{Solution, solve};
-use crate::views::{Lens, RayWeights, Views};
+use crate::solve::{Solution, Start, begin, finish};
+use crate::views::{Lens, Views};
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
 use glam::{DMat3, DVec3};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -77,21 +80,21 @@ impl Triangulator for WeightedRays {
         let batch = Batch { config: &self.config, previous, lenses: &lenses, observations };
         let scales = batch.scales();
         let mut solutions = vec![Err(EstimateStatus::TooFewViews); previous.len()];
-        solutions.par_chunks_mut(CHUNK).enumerate().for_each_init(Views::default, |views, (chunk, out)| {
-            out.iter_mut()
-                .enumerate()
-                .for_each(|(k, solution)| *solution = batch.solve_one(chunk * CHUNK + k, scales, views));
+        let arch = Arch::new();
+        solutions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
+            arch.dispatch(SolveChunk { batch: &batch, scales, first: chunk * CHUNK, out });
         });
         let pooled = pooled_variance(&solutions);
-        out.means.clear();
-        out.covariances.clear();
-        out.status.clear();
-        for (solution, &mean) in solutions.iter().zip(previous) {
-            let (step, covariance, status) = finish(solution, pooled, &self.config);
-            out.means.push(mean + step);
-            out.covariances.push(covariance);
-            out.status.push(status);
-        }
+        out.means.resize(previous.len(), DVec3::ZERO);
+        out.covariances.resize(previous.len(), DMat3::ZERO);
+        out.status.resize(previous.len(), EstimateStatus::TooFewViews);
+        let columns = out.means.par_iter_mut().zip(&mut out.covariances).zip(&mut out.status);
+        columns.zip(&solutions).zip(previous).with_min_len(CHUNK).for_each(|((to, solution), &mean)| {
+            let ((place, covariance), status) = to;
+            let step;
+            (step, *covariance, *status) = accept(solution, pooled, &self.config);
+            *place = mean + step;
+        });
         Ok(())
     }
 }
@@ -106,16 +109,28 @@ struct Batch<'a> {
 }
 
 /// Gaussians a task solves: neighbours in the columns of the observations, so that cache lines are shared.
-const CHUNK: usize = 256;
+const CHUNK: usize = 512;
+/// The same of the noise scale.
+const SAMPLE_CHUNK: usize = 64;
 /// Gaussians the noise scale of the robust cut is taken from.
 const SCALE_SAMPLES: usize = 512;
 /// Rounds of the noise scale, each with the soft scale of the one before.
 const SCALE_ROUNDS: usize = 4;
 
 impl Batch<'_> {
-    fn solve_one(&self, i: usize, scales: Scales, views: &mut Views) -> Outcome {
-        views.gather(self.previous[i], self.lenses, self.observations, i);
-        solve(views, self.config, scales)
+    /// The Gaussians of a chunk, those that the same views observed side by side: so the lanes of a group are busy.
+    fn by_visibility(&self, first: usize, count: usize) -> Vec<u32> {
+        let Observations { gaussians, weights, .. } = self.observations;
+        let mut keys: Vec<(u64, u32)> = (first..first + count).map(|i| (0, i as u32)).collect();
+        for v in 0..self.lenses.len() {
+            let bit = 1 << (63 - v * 64 / self.lenses.len().max(64));
+            let row = &weights[v * gaussians + first..][..count];
+            for (key, weight) in keys.iter_mut().zip(row) {
+                key.0 |= if *weight > 0.0 { bit } else { 0 };
+            }
+        }
+        keys.sort_unstable();
+        keys.into_iter().map(|(_, i)| i).collect()
     }
 
     /// The configured robust scales, raised where the trackers' noise is larger than they expect.
@@ -135,10 +150,11 @@ impl Batch<'_> {
     /// half of the views.
     fn typical_noise(&self, soft: f64) -> f64 {
         let stride = self.previous.len().div_ceil(SCALE_SAMPLES).max(1);
-        let mut residuals: Vec<f64> = (0..self.previous.len())
-            .into_par_iter()
-            .step_by(stride)
-            .flat_map_iter(|i| self.soft_residuals(i, soft))
+        let samples: Vec<u32> = (0..self.previous.len() as u32).step_by(stride).collect();
+        let arch = Arch::new();
+        let parts = samples.par_chunks(SAMPLE_CHUNK);
+        let mut residuals: Vec<f64> = parts
+            .flat_map_iter(|samples| arch.dispatch(SoftResiduals { batch: self, soft, samples }))
             .collect();
         if residuals.is_empty() {
             return 0.0;
@@ -149,17 +165,74 @@ impl Batch<'_> {
         let variance = *median / (2.0 * std::f64::consts::LN_2);
         if variance.is_finite() { variance.sqrt() } else { 0.0 }
     }
+}
 
-    /// Squared residuals (px^2) about the softly re-weighted point, corrected for its three fitted coordinates.
-    fn soft_residuals(&self, i: usize, soft: f64) -> Vec<f64> {
-        let mut views = Views::default();
-        views.gather(self.previous[i], self.lenses, self.observations, i);
-        let n = views.len() as f64;
-        let start = views.rays(DVec3::ZERO, RayWeights::Depth).solve();
-        let Some(start) = start.filter(|_| views.len() >= 3) else { return Vec::new() };
-        let point = robust::soften(&views, start, soft);
-        let correction = 2.0 * n / (2.0 * n - 3.0);
-        views.weighted_errors(point).map(|e| e * correction).collect()
+/// Solves the Gaussians from `first` on.
+struct SolveChunk<'a> {
+    batch: &'a Batch<'a>,
+    scales: Scales,
+    first: usize,
+    out: &'a mut [Outcome],
+}
+
+impl WithSimd for SolveChunk<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { batch, scales, first, out } = self;
+        let Batch { config, previous, observations, .. } = *batch;
+        let mut views = Views::new(simd, batch.lenses);
+        let order = batch.by_visibility(first, out.len());
+        let mut begun = Vec::with_capacity(order.len());
+        for group in order.chunks(S::F64_LANES) {
+            let mut starts = [Start::NONE; MAX_LANES];
+            views.gather(previous, observations, group, true);
+            begin(&views, config, scales, &mut starts[..group.len()]);
+            begun.extend(group.iter().copied().zip(starts));
+        }
+        let rays = !config.refine || config.collinear_degrees != 0.0;
+        begun.sort_by_key(|(_, start)| start.doubtful);
+        for group in begun.chunks(S::F64_LANES) {
+            let (mut gaussians, mut starts) = ([0; MAX_LANES], [Start::NONE; MAX_LANES]);
+            for (k, &(i, start)) in group.iter().enumerate() {
+                (gaussians[k], starts[k]) = (i, start);
+            }
+            let n = group.len();
+            let mut solutions = [Err(EstimateStatus::TooFewViews); MAX_LANES];
+            views.gather(previous, observations, &gaussians[..n], rays);
+            finish(&mut views, &starts[..n], config, scales, &mut solutions[..n]);
+            for (&(i, _), solution) in group.iter().zip(solutions) {
+                out[i as usize - first] = solution;
+            }
+        }
+    }
+}
+
+/// Squared residuals (px^2) of Gaussians about their softly re-weighted points, corrected for the three fitted
+/// coordinates.
+struct SoftResiduals<'a> {
+    batch: &'a Batch<'a>,
+    soft: f64,
+    samples: &'a [u32],
+}
+
+impl WithSimd for SoftResiduals<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<f64> {
+        let Self { batch, soft, samples } = self;
+        let mut views = Views::new(simd, batch.lenses);
+        let mut out = Vec::new();
+        for group in samples.chunks(S::F64_LANES) {
+            views.gather(batch.previous, batch.observations, group, true);
+            let (start, solved) = views.meet([views.number(0.0); 3], RayWeights::Depth).solve(simd);
+            let lanes = solved & views.number(3.0).up_to(views.count);
+            let point = robust::soften(&views, lanes, start, soft);
+            views.push_errors(lanes, point, &mut out);
+        }
+        out
     }
 }
 
@@ -171,7 +244,7 @@ fn pooled_variance(solutions: &[Outcome]) -> f64 {
 }
 
 /// Shrinks the variance, scales the covariance and applies the acceptance limits.
-fn finish(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
+fn accept(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
     let failed = |status| (DVec3::ZERO, DMat3::ZERO, status);
     let solution = match outcome {
         Ok(solution) => solution,

@@ -3,7 +3,7 @@
 
 mod yardstick;
 
-use ffgs_core::{Camera, EstimateStatus, ImageSize, Intrinsics, Observations};
+use ffgs_core::{Camera, EstimateStatus, Estimates, ImageSize, Intrinsics, Observations};
 use ffgs_triangulation::TriangulationConfig;
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use rand::{Rng, SeedableRng};
@@ -198,4 +198,67 @@ fn the_25_degree_rule_costs_accuracy_where_views_surround_the_motion() {
         }
     }
     assert!(worst > 1.1, "{worst}");
+}
+
+/// Every kind of Gaussian at once: few views, gross outliers, points behind cameras, parallel rays, NaN.
+fn mixed() -> Problem {
+    let kind = Kind { rig: Rig::Trackside, views: 9, outliers: 0.3, seen: 0.6, least_weight: 0.2, ..BASE };
+    let mut problem = problem(kind, 21);
+    for i in 0..GAUSSIANS {
+        match i % 10 {
+            0 => problem.previous[i] = problem.cameras[i % 9].center() + DVec3::new(0.0, 30.0, 0.0),
+            1 => problem.observations.targets[(i % 9) * GAUSSIANS + i] = DVec2::NAN,
+            2 => (2..9).for_each(|v| problem.observations.weights[v * GAUSSIANS + i] = 0.0),
+            3 => problem.observations.weights[(i % 9) * GAUSSIANS + i] = f64::INFINITY,
+            4 => problem.observations.targets[i] += DVec2::splat(1e12),
+            _ => {}
+        }
+    }
+    problem
+}
+
+fn bits(out: &Estimates, i: usize) -> (EstimateStatus, Vec<u64>) {
+    let numbers = out.means[i].to_array().into_iter().chain(out.covariances[i].to_cols_array());
+    (out.status[i], numbers.map(f64::to_bits).collect())
+}
+
+/// Gaussians share vectors: none may feel which others are beside it.
+#[test]
+fn the_company_of_other_gaussians_changes_no_bit() {
+    // Without a pooled noise, and with scales above what is sampled of it, every Gaussian is by itself.
+    let alone = |config| TriangulationConfig {
+        pooled_degrees: 0.0,
+        outlier_soft_px: 8.0,
+        outlier_cut_px: 16.0,
+        ..config
+    };
+    let rays = TriangulationConfig { refine: false, ..TriangulationConfig::default() };
+    let ordered = mixed();
+    let place = |i: usize| (i * 7 + 3) % GAUSSIANS;
+    let mut shuffled = mixed();
+    for i in 0..GAUSSIANS {
+        shuffled.previous[place(i)] = ordered.previous[i];
+        for v in 0..ordered.cameras.len() {
+            let (to, from) = (v * GAUSSIANS + place(i), v * GAUSSIANS + i);
+            shuffled.observations.targets[to] = ordered.observations.targets[from];
+            shuffled.observations.weights[to] = ordered.observations.weights[from];
+        }
+    }
+    for config in [TriangulationConfig::default(), rays, TriangulationConfig::literal()].map(alone) {
+        let (a, b) = (run(&ordered, config), run(&shuffled, config));
+        assert!((0..GAUSSIANS).all(|i| bits(&a, i) == bits(&b, place(i))), "{config:?}");
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let problem = mixed();
+    let all = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let out = pool.install(|| run(&problem, TriangulationConfig::default()));
+        (0..GAUSSIANS).map(|i| bits(&out, i)).collect::<Vec<_>>()
+    };
+    let one = all(1);
+    assert!(one.iter().filter(|(status, _)| *status == EstimateStatus::Ok).count() > GAUSSIANS / 2);
+    assert!([2, 3, 7].into_iter().all(|threads| all(threads) == one));
 }
