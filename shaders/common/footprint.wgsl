@@ -2,7 +2,7 @@
 // CPU twin: rasterizer/src/footprint.rs (`accumulate`).
 
 @group(0) @binding(0) var<uniform> view: View;
-// Channels in use; the sums are of the planes from `first` on.
+// First plane summed; number of planes; bits of the f32 transmittance at which a pixel is finished.
 @group(0) @binding(1) var<uniform> planes: vec4u;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> list: array<vec2u>;
@@ -52,7 +52,12 @@ fn sum_tile(slot: u32, local: u32) {
                     let a = alpha_at(k, origin + local_pixel(local, r));
                     if first + k < counted[r] && a.alpha > 0.0 {
                         let weight = a.alpha * transmittance[r];
-                        transmittance[r] -= weight;
+                        let next = transmittance[r] - weight;
+                        if next <= bitcast<f32>(planes.z) {
+                            counted[r] = 0u;
+                            continue;
+                        }
+                        transmittance[r] = next;
                         for (var c = 0u; c < planes.y; c++) {
                             sums[c] += weight * channels[(planes.x + c) * plane_size + place[r]];
                         }

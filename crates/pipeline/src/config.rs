@@ -85,6 +85,9 @@ pub struct AssociationConfig {
     pub min_coverage: f32,
     /// Least number of pixels.
     pub min_hits: u32,
+    /// A pixel is finished before the contribution that would bring its transmittance to this value: what shows
+    /// through less moves with what hides it. 1e-4 = as far as is rendered.
+    pub min_transmittance: f32,
     /// Whether what cannot be in a view's image at t is left unobserved there.
     pub withdraw_unseen: bool,
     /// What turns with the rigid motion.
@@ -110,6 +113,7 @@ impl Default for AssociationConfig {
             flow_floor_px: 0.25,
             min_coverage: 1e-3,
             min_hits: 2,
+            min_transmittance: 1e-2,
             withdraw_unseen: true,
             rotate: Rotate::default(),
         }
@@ -139,6 +143,7 @@ impl Config {
             agreement: AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false },
             association: AssociationConfig {
                 flow_floor_px: 0.0,
+                min_transmittance: 1e-4,
                 withdraw_unseen: false,
                 rotate: Rotate::Nothing,
                 ..defaults.association

@@ -39,6 +39,8 @@ pub struct Planes<'a> {
     pub values: &'a Buffer,
     /// Number of planes, at least one.
     pub count: usize,
+    /// Transmittance at which a pixel is finished, if that is sooner than in the image.
+    pub finished: f32,
 }
 
 impl GpuRasterizer<'_> {
@@ -52,7 +54,12 @@ impl GpuRasterizer<'_> {
     ) -> Result<Footprints, GpuError> {
         let scene = GpuScene::upload(self.gpu, gaussians)?;
         let planes = self.gpu.upload("channels", &channels.concat())?;
-        self.accumulate_planes(&scene, view, &Planes { values: &planes, count: channels.len() }, scene.count)
+        self.accumulate_planes(
+            &scene,
+            view,
+            &Planes { values: &planes, count: channels.len(), finished: 0.0 },
+            scene.count,
+        )
     }
 
     /// The same for a scene and planes that are on the device; sums of the first `rows` Gaussians only.
@@ -71,7 +78,7 @@ impl GpuRasterizer<'_> {
         let mut out = Footprints { channels, sums: vec![0.0; rows * channels], hits: vec![0; rows] };
         for first in (0..channels).step_by(CHANNELS) {
             let span = [first, CHANNELS.min(channels - first)];
-            self.sum(scene, &view, planes.values, span, &totals)?;
+            self.sum(scene, &view, planes, span, &totals)?;
             let sums: Vec<[f32; ENTRY]> = gpu.download(&totals, rows)?;
             for (i, row) in sums.iter().enumerate() {
                 let at = i * channels + first;
@@ -87,13 +94,13 @@ impl GpuRasterizer<'_> {
         &self,
         scene: &GpuScene,
         view: &GpuView,
-        planes: &Buffer,
+        planes: &Planes,
         [first, count]: [usize; 2],
         totals: &Buffer,
     ) -> Result<(), GpuError> {
         let (gpu, s) = (self.gpu, &self.scratch);
-        let span = gpu.uniform("channels", &[first as u32, count as u32, 0, 0])?;
-        let sum = [&view.uniform, &span, &s.splats, &s.list, &view.slots, &s.last, planes, &s.entries];
+        let span = gpu.uniform("channels", &[first as u32, count as u32, planes.finished.to_bits(), 0])?;
+        let sum = [&view.uniform, &span, &s.splats, &s.list, &view.slots, &s.last, planes.values, &s.entries];
         let mut commands = gpu.commands();
         let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
         commands.run(kernel, &sum, Groups::of(view.slots(), 1));

@@ -26,6 +26,8 @@ pub struct Association<'a> {
     pub min_coverage: f32,
     /// Least number of its pixels.
     pub min_hits: u32,
+    /// A pixel is finished before the contribution that would bring its transmittance to this value.
+    pub min_transmittance: f32,
 }
 
 /// One tracker's observations of N Gaussians in one view; what is not observed stays as it is.
@@ -95,6 +97,10 @@ impl PixelChannels for Channels<'_> {
         self.count
     }
 
+    fn finished(&self) -> f32 {
+        self.association.min_transmittance
+    }
+
     fn gather(&self, pixels: Range<usize>, local: usize, planes: &mut [TilePlane], open: &mut TilePlane) {
         let Association { mask, fields, flow_floor_px, .. } = self.association;
         let mask = &mask.data()[pixels.clone()];
@@ -159,5 +165,51 @@ impl Association<'_> {
                 out.take(i, projection.pixel, [values[place.coverage], x, y, weight], self.min_coverage);
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{ImageSize, Intrinsics};
+    use glam::DMat4;
+
+    /// Four equal splats one behind the other, wide enough to be flat over the mask: each lets a fifth through.
+    #[test]
+    fn what_is_hidden_is_not_observed() {
+        let size = ImageSize { width: 32, height: 32 };
+        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 16.0, cy: 16.0 };
+        let camera = Camera::new(intrinsics, DMat4::IDENTITY, size).unwrap();
+        let mut gaussians = Gaussians::zeros(4, 0);
+        for i in 0..4 {
+            gaussians.means[i] = [0.0, 0.0, 10.0 + 0.01 * i as f32];
+            gaussians.quats[i] = [1.0, 0.0, 0.0, 0.0];
+            gaussians.log_scales[i] = [0.0; 3];
+            gaussians.opacity_logits[i] = 4.0_f32.ln();
+        }
+        let means: Vec<DVec3> = (0..4).map(|i| DVec3::new(0.0, 0.0, 10.0 + 0.01 * f64::from(i))).collect();
+        let mut inside = vec![0; size.pixels()];
+        [15 * 32 + 15, 15 * 32 + 16, 16 * 32 + 15, 16 * 32 + 16].map(|p| inside[p] = 1);
+        let mask = Mask::new(size, inside).unwrap();
+        let mut field = DenseMotion::unknown(size);
+        field.flow.fill([3.0, -4.0]);
+        field.confidence.fill(1.0);
+        let scene = AssociationScene::new(&gaussians, &means);
+        // The transmittances behind them are 0.2, 0.04, 0.008 and 0.0016.
+        for (min_transmittance, seen) in [(1e-4, 4), (5e-3, 3), (1e-2, 2), (0.1, 1), (0.5, 0)] {
+            let (mut targets, mut weights) = (vec![DVec2::ZERO; 4], vec![0.0; 4]);
+            let mut out = [Observed { targets: &mut targets, weights: &mut weights }];
+            let (camera, mask, fields) = (&camera, &mask, std::slice::from_ref(&field));
+            let (flow_floor_px, min_coverage, min_hits) = (0.25, 1e-3, 2);
+            Association { camera, mask, fields, flow_floor_px, min_coverage, min_hits, min_transmittance }
+                .observe(&scene, &mut out, &mut AssociationScratch::default());
+            for i in 0..4 {
+                // Four pixels, alpha 0.8, a motion of 5 px.
+                let expected = if i < seen { 4.0 * 0.8 * 0.2_f64.powi(i as i32) * 5.0 } else { 0.0 };
+                assert!((weights[i] - expected).abs() <= 0.05 * expected, "splat {i}: {weights:?}");
+                let moved = DVec2::new(19.0, 12.0);
+                assert!(i >= seen || (targets[i] - moved).length() < 1e-4, "splat {i}: {targets:?}");
+            }
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! The backward pass over tiles: from pixel derivatives to derivatives per (tile, splat) entry.
 
-use crate::blend::{AREA, Contribution, MAX_ALPHA, TilePlane, Visitor, walk};
+use crate::blend::{AREA, Contribution, MAX_ALPHA, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::contract::{DifferentiableRasterizer, View};
 use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::gradients::{Gradients, PixelGradients};
@@ -143,7 +143,7 @@ impl WithSimd for TileBackward<'_> {
             entries,
         };
         let mut transmittance = TilePlane([1.0; AREA]);
-        walk(simd, origin, splats, slots, &mut transmittance, &mut visitor);
+        walk(simd, origin, splats, slots, MIN_TRANSMITTANCE, &mut transmittance, &mut visitor);
     }
 }
 

@@ -8,7 +8,7 @@ use pulp::Simd;
 /// Opacity of one contribution is capped here, so that transmittance never reaches 0.
 pub(crate) const MAX_ALPHA: f32 = 0.99;
 /// A pixel is finished before the contribution that would bring its transmittance to this value.
-const MIN_TRANSMITTANCE: f32 = 1e-4;
+pub(crate) const MIN_TRANSMITTANCE: f32 = 1e-4;
 /// Pixels a tile.
 pub(crate) const AREA: usize = TILE * TILE;
 
@@ -140,7 +140,7 @@ impl RowRange {
     }
 }
 
-/// Walks `slots` front to back over the tile whose first pixel is `origin`. `transmittance` starts as given (1) and
+/// Walks `slots` front to back over the tile whose first pixel is `origin`, up to the transmittance `finished`. `transmittance` starts as given (1) and
 /// ends as the final value with its sign flipped where the pixel finished early; callers take the absolute value.
 #[inline(always)]
 pub(crate) fn walk<S: Simd, V: Visitor<S>>(
@@ -148,6 +148,7 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     origin: [usize; 2],
     splats: &[Splat],
     slots: &[Entry],
+    finished: f32,
     transmittance: &mut TilePlane,
     visitor: &mut V,
 ) {
@@ -155,7 +156,7 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     let vectors = TILE / lanes;
     let (columns, _) = S::as_simd_f32s(&COLUMNS);
     let (state, _) = S::as_mut_simd_f32s(&mut transmittance.0);
-    let (zero, least_open) = (simd.splat_f32s(0.0), simd.splat_f32s(MIN_TRANSMITTANCE));
+    let (zero, least_open) = (simd.splat_f32s(0.0), simd.splat_f32s(finished));
     let mut open_rows = OpenRows::new(simd, state);
     let mut batch = [Splat::default(); BATCH];
     for entry in 0..slots.len() {

@@ -1,6 +1,6 @@
 //! The forward pass.
 
-use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::block::{BLOCK, Block, Projected};
 use crate::chunks::ChunkBounds;
 use crate::compose::compose;
@@ -193,7 +193,7 @@ impl WithSimd for BlendTile<'_> {
         let [r, g, b] = &mut out.rgb;
         let planes = [r, g, b].map(|plane| S::as_mut_simd_f32s(&mut plane.0).0);
         let mut visitor = AddColour::<S> { planes, colour: [zero; 3] };
-        walk(simd, origin, splats, slots, &mut out.transmittance, &mut visitor);
+        walk(simd, origin, splats, slots, MIN_TRANSMITTANCE, &mut out.transmittance, &mut visitor);
         out.transmittance.0.iter_mut().for_each(|t| *t = t.abs());
     }
 }

@@ -1,7 +1,7 @@
 //! Sums over the pixels that a Gaussian covers.
 
 use crate::backward::for_each_tile_slice;
-use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::chunks::ChunkBounds;
 use crate::contract::View;
 use crate::cpu::{CpuRasterizer, tile_origin};
@@ -38,6 +38,11 @@ impl FootprintSums {
 pub(crate) trait PixelChannels: Sync {
     /// Number of channels.
     fn count(&self) -> usize;
+
+    /// Transmittance at which a pixel is finished.
+    fn finished(&self) -> f32 {
+        MIN_TRANSMITTANCE
+    }
 
     /// Writes the channels of a run of `pixels`, counted row by row, into the planes (a channel each) from `local` on, and
     /// 1 into `open` where a pixel counts. Where it does not it adds to no sum, and nothing is blended there: planes
@@ -98,6 +103,7 @@ impl CpuRasterizer {
     ) {
         self.prepare_within(gaussians, bounds, view, tape);
         let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
+        let finished = channels.finished();
         let RenderTape { lists, splats, grid, .. } = tape;
         out.width = width;
         // Not cleared: each tile clears its own entries, while they are in its cache.
@@ -114,7 +120,18 @@ impl CpuRasterizer {
             let origin = tile_origin(tile, *grid);
             for (step, planes) in planes.chunks(MAX_CHANNELS).enumerate() {
                 let (first, entries) = (step * MAX_CHANNELS, &mut *entries);
-                arch.dispatch(SumTile { origin, splats, slots, wanted, planes, first, width, open, entries });
+                arch.dispatch(SumTile {
+                    origin,
+                    splats,
+                    slots,
+                    finished,
+                    wanted,
+                    planes,
+                    first,
+                    width,
+                    open,
+                    entries,
+                });
             }
         });
     }
@@ -172,6 +189,7 @@ struct SumTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
     slots: &'a [Entry],
+    finished: f32,
     /// Gaussians from this index on are not summed.
     wanted: usize,
     planes: &'a [TilePlane],
@@ -205,7 +223,7 @@ impl SumTile<'_> {
     /// With room for `C` channels, the last ones unused.
     #[inline(always)]
     fn sum<S: Simd, const C: usize>(self, simd: S) {
-        let Self { origin, splats, slots, wanted, planes, first, width, mut open, entries } = self;
+        let Self { origin, splats, slots, finished, wanted, planes, first, width, mut open, entries } = self;
         let zero = simd.splat_f32s(0.0);
         let mut columns = [S::as_simd_f32s(&TilePlane::ZERO.0).0; C];
         columns.iter_mut().zip(planes).for_each(|(column, plane)| *column = S::as_simd_f32s(&plane.0).0);
@@ -220,7 +238,7 @@ impl SumTile<'_> {
             hits: zero,
             entries,
         };
-        walk(simd, origin, splats, slots, &mut open, &mut visitor);
+        walk(simd, origin, splats, slots, finished, &mut open, &mut visitor);
     }
 }
 

@@ -1,6 +1,6 @@
 //! The K largest contributions of every pixel.
 
-use crate::blend::{AREA, Contribution, TilePlane, Visitor, walk};
+use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::contract::View;
 use crate::cpu::{CpuRasterizer, tile_origin};
 use crate::projection::Splat;
@@ -72,7 +72,7 @@ impl WithSimd for TopTile<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { origin, splats, slots, count, best } = self;
         let mut visitor = Keep { index: -1, count, best };
-        walk(simd, origin, splats, slots, &mut TilePlane::ONE.clone(), &mut visitor);
+        walk(simd, origin, splats, slots, MIN_TRANSMITTANCE, &mut TilePlane::ONE.clone(), &mut visitor);
     }
 }
 

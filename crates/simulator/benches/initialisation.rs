@@ -124,8 +124,15 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
         watch.stop(2);
         views.par_iter().zip(cameras).zip(&fields).zip(rows).for_each(|(((view, camera), fields), out)| {
             let mask = &view.mask;
-            let association =
-                Association { camera, mask, fields, flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 };
+            let association = Association {
+                camera,
+                mask,
+                fields,
+                flow_floor_px: 0.25,
+                min_coverage: 1e-3,
+                min_hits: 2,
+                min_transmittance: 1e-2,
+            };
             let mut own = scratch.lock().expect("no panic").pop().unwrap_or_default();
             association.observe(&gaussians, out, &mut own);
             scratch.lock().expect("no panic").push(own);

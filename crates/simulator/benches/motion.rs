@@ -51,6 +51,7 @@ fn one_view(c: &mut Criterion) {
             flow_floor_px: 0.25,
             min_coverage: 1e-3,
             min_hits: 2,
+            min_transmittance: 1e-2,
         };
         group.bench_function(BenchmarkId::new("association", scale.label()), |b| {
             associate(b, &association, &whole);

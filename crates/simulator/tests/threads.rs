@@ -90,7 +90,16 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>]) -> Vec<Observations> {
             })
             .collect();
         let (camera, mask) = (&scene.cameras[v], &view.mask);
-        Association { camera, mask, fields, flow_floor_px: 0.25, min_coverage: 1e-3, min_hits: 2 }.observe(
+        Association {
+            camera,
+            mask,
+            fields,
+            flow_floor_px: 0.25,
+            min_coverage: 1e-3,
+            min_hits: 2,
+            min_transmittance: 1e-2,
+        }
+        .observe(
             &AssociationScene::new(&scene.joint, &scene.previous),
             &mut out,
             &mut AssociationScratch::default(),

@@ -59,6 +59,7 @@ fn association<'a>(
         flow_floor_px: config.flow_floor_px,
         min_coverage: config.min_coverage,
         min_hits: config.min_hits,
+        min_transmittance: config.min_transmittance,
     }
 }
 

@@ -62,7 +62,8 @@ impl OnDevice<'_> {
     ) -> Result<()> {
         let view = &input.before[v];
         let planes = fields.planes(input.config.association.flow_floor_px)?;
-        let planes = Planes { values: &planes, count: fields.plane_count() };
+        let finished = input.config.association.min_transmittance;
+        let planes = Planes { values: &planes, count: fields.plane_count(), finished };
         let tiles = TileMask::covering(&view.mask);
         let frame =
             View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
