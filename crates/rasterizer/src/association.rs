@@ -184,7 +184,7 @@ mod tests {
         for i in 0..4 {
             gaussians.means[i] = [0.0, 0.0, 10.0 + 0.01 * i as f32];
             gaussians.quats[i] = [1.0, 0.0, 0.0, 0.0];
-            gaussians.log_scales[i] = [0.0; 3];
+            gaussians.log_scales[i] = [1.0; 3];
             gaussians.opacity_logits[i] = 4.0_f32.ln();
         }
         let means: Vec<DVec3> = (0..4).map(|i| DVec3::new(0.0, 0.0, 10.0 + 0.01 * f64::from(i))).collect();
@@ -206,7 +206,7 @@ mod tests {
             for i in 0..4 {
                 // Four pixels, alpha 0.8, a motion of 5 px.
                 let expected = if i < seen { 4.0 * 0.8 * 0.2_f64.powi(i as i32) * 5.0 } else { 0.0 };
-                assert!((weights[i] - expected).abs() <= 0.05 * expected, "splat {i}: {weights:?}");
+                assert!((weights[i] - expected).abs() <= 0.03 * expected, "splat {i}: {weights:?}");
                 let moved = DVec2::new(19.0, 12.0);
                 assert!(i >= seen || (targets[i] - moved).length() < 1e-4, "splat {i}: {targets:?}");
             }

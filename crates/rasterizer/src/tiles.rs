@@ -19,9 +19,11 @@ impl TileMask {
     pub fn covering(mask: &Mask) -> Self {
         let grid = TileGrid::new(mask.size());
         let mut active = vec![false; grid.count()];
-        for (i, _) in mask.data().iter().enumerate().filter(|(_, v)| **v != 0) {
-            let (y, x) = (i / mask.size().width, i % mask.size().width);
-            active[y / TILE * grid.columns + x / TILE] = true;
+        for (y, row) in mask.data().chunks(mask.size().width).enumerate() {
+            let tiles = &mut active[y / TILE * grid.columns..][..grid.columns];
+            for (tile, pixels) in tiles.iter_mut().zip(row.chunks(TILE)) {
+                *tile |= pixels.iter().fold(0, |any, pixel| any | pixel) != 0;
+            }
         }
         Self { columns: grid.columns, active }
     }
