@@ -22,6 +22,7 @@ pub const ABLATIONS: [Ablation; 24] = [
     ("no agreement floor", |c| c.agreement.magnitude_floor_px = 0.0),
     ("unknown counts as disagreement", |c| c.agreement.ignore_unknown = false),
     ("no flow floor", |c| c.association.flow_floor_px = 0.0),
+    ("the hidden is observed", |c| c.association.min_transmittance = 1e-4),
     ("what left the image counts", |c| c.association.withdraw_unseen = false),
     ("no depth weighting, no refinement", |c| {
         c.triangulation.depth_weighting = false;
