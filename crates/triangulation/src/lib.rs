@@ -40,6 +40,8 @@
 mod config;
 mod normal;
 mod passes;
+#[cfg(test)]
+mod problems;
 mod real;
 mod robust;
 mod solve;

@@ -9,8 +9,9 @@ pub struct Normal<S: Simd> {
     pub b: [Real<S>; 3],
 }
 
-/// Pivots below this fraction of the diagonal are rounding, not information.
-const PIVOT: f64 = 1e-13;
+/// A determinant below this fraction of a third of the trace cubed, the largest it can be, is rounding and not information.
+/// A pivot alone does not tell: after a small one those that follow have lost as many digits.
+const SINGULAR: f64 = 1e-13;
 
 /// `A = L D L^T` with a unit diagonal in L.
 struct Factors<S: Simd> {
@@ -95,13 +96,12 @@ impl<S: Simd> Normal<S> {
         out
     }
 
-    /// Pivots are compared with their diagonal entries: units and weights do not decide what counts as singular.
+    /// The determinant is compared with the trace: units and weights do not decide what counts as singular.
     #[inline(always)]
     fn factors(&self, simd: S) -> Factors<S> {
         let [xx, xy, xz, yy, yz, zz] = self.a;
-        let (zero, one, pivot) = (Real::all(simd, 0.0), Real::all(simd, 1.0), Real::all(simd, PIVOT));
-        let positive = xx.above(zero) & yy.above(zero) & zz.above(zero);
-        let finite = Real::all(simd, f64::INFINITY).above(xx + yy + zz);
+        let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
+        let trace = xx + yy + zz;
         let inverse_x = one / xx;
         let (yx, zx) = (xy * inverse_x, xz * inverse_x);
         let y = yy - yx * xy;
@@ -109,7 +109,9 @@ impl<S: Simd> Normal<S> {
         let rest = yz - zx * xy;
         let zy = rest * inverse_y;
         let z = zz - zx * xz - zy * rest;
-        let sound = positive & finite & y.above(pivot * yy) & z.above(pivot * zz);
+        let least = Real::all(simd, SINGULAR / 27.0) * trace * trace * trace;
+        let sound =
+            xx.above(zero) & y.above(zero) & z.above(zero) & (xx * y * z).above(least) & least.finite();
         Factors { below: [yx, zx, zy], inverse: [inverse_x, inverse_y, one / z], sound }
     }
 }

@@ -284,3 +284,6 @@ fn check_shapes(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;
