@@ -245,6 +245,7 @@ fn add_terms(arms: &[Lanes; 3], weighted: &[Lanes; 9], sums: &mut [Lanes; TERMS]
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::instruction_sets::vectorised;
     use crate::motion_fit::fit_motion;
     use ffgs_core::{EstimateStatus, Estimates};
     use glam::DQuat;
@@ -300,6 +301,27 @@ mod tests {
         }
         assert!((found.a - expected.a).amax() < 1e-11 * expected.a.amax());
         assert!((found.b - expected.b).amax() < 1e-11 * expected.b.amax());
+    }
+
+    #[test]
+    fn every_instruction_set_sums_the_same_bits() {
+        let estimates = [tracker(&motion(), 0.02), tracker(&motion(), 0.05)];
+        let (evidence, previous) = (Evidence::new(&estimates), places());
+        let members = Members::new(&evidence, &previous, &(0..13).collect::<Vec<_>>());
+        let mut of = members.residuals(&motion());
+        let rows = [[0.99, -0.1, 0.02], [0.1, 0.98, 0.3], [-0.02, -0.3, 0.97]];
+        let mut sum = |set| {
+            // What an instruction set leaves out shows.
+            of.arms.fill([[f64::NAN; LANES]; 3]);
+            of.blocks.fill(Residual { pulls: [[f64::NAN; LANES]; 3], distances: [f64::NAN; LANES] });
+            vectorised(set, Update { rows, step: [0.6, -0.1, 0.2], of: &mut of })?;
+            let mut sums = [[0.0; LANES]; TERMS];
+            vectorised(set, Sum { of: &of, scales: &[1.5, 0.8], sums: &mut sums })?;
+            Some(sums)
+        };
+        let expected = sum(0).unwrap();
+        assert!(expected.as_flattened().iter().all(|v| v.is_finite()) && expected[0][0] > 0.0);
+        assert!((1..3).filter_map(sum).all(|other| other == expected));
     }
 
     #[test]

@@ -105,6 +105,7 @@ impl Part {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::instruction_sets::vectorised;
     use ffgs_core::ImageSize;
     use glam::DMat4;
     use rand::{Rng, SeedableRng};
@@ -128,10 +129,17 @@ mod tests {
         means[3] = DVec3::NAN;
         let counts = count_views(&means, &cameras, &masks).unwrap();
         assert!(counts.iter().any(|c| c.inside > 0 && c.inside < c.seen));
-        for (&mean, found) in means.iter().zip(counts) {
+        for (&mean, &found) in means.iter().zip(&counts) {
             let seen = cameras.iter().zip(&masks).filter_map(|(c, m)| Some((c.pixel_of(mean)?, m)));
             let inside = seen.clone().filter(|((x, y), m)| m.contains(*x, *y)).count() as u32;
             assert_eq!(found, ViewCounts { inside, seen: seen.count() as u32 });
         }
+        let views: Vec<(&Camera, &Mask)> = cameras.iter().zip(&masks).collect();
+        let count = |set| {
+            let mut out = vec![ViewCounts::default(); means.len()];
+            vectorised(set, Block { means: &means, views: &views, counts: &mut out })?;
+            Some(out)
+        };
+        assert!((0..3).filter_map(count).all(|found| found == counts), "an instruction set differs");
     }
 }

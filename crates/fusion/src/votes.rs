@@ -89,12 +89,12 @@ fn add(motion: &Sum, block: &Block, sums: &mut [f64; LANES]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::instruction_sets::vectorised;
     use crate::symmetric::Symmetric;
     use glam::DQuat;
 
-    #[test]
-    fn what_is_explained_is_the_sum_over_single_cells() {
-        let voters: Vec<Voter> = (0..11_i32)
+    fn voters() -> Vec<Voter> {
+        (0..11_i32)
             .map(|i| {
                 let x = f64::from(i);
                 let centre = DVec3::new(5e5 + x, 3.0 - x, x.sin());
@@ -102,7 +102,25 @@ mod tests {
                 let information = Symmetric { xy: 3.0, yz: -2.0, ..Symmetric::scalar(40.0 + x) };
                 Voter { centre, place, information, weight: 60.0 + x, scales: Vec::new() }
             })
-            .collect();
+            .collect()
+    }
+
+    #[test]
+    fn every_instruction_set_counts_the_same_bits() {
+        let Votes { blocks, .. } = Votes::new(voters().iter());
+        let sum = |set| {
+            let rows = [[1.0, -0.01, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]];
+            let (centre, target) = ([0.1, 0.2, 0.3], [0.1, 0.7, 0.3]);
+            vectorised(set, Sum { blocks: &blocks, rows, centre, target, scale: 0.1 })
+        };
+        let expected = sum(0).unwrap();
+        assert!(expected.iter().sum::<f64>() > 10.0);
+        assert!((1..3).filter_map(sum).all(|other| other == expected));
+    }
+
+    #[test]
+    fn what_is_explained_is_the_sum_over_single_cells() {
+        let voters = voters();
         let centre = DVec3::new(5e5, 0.0, 0.0);
         let motion = RigidMotion { centre, rotation: DQuat::from_rotation_z(0.01), step: DVec3::Y * 0.5 };
         let limit = 2.0;

@@ -193,3 +193,53 @@ fn scale(trackers: &[Tracker], floor: f64) -> Column {
 fn length([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instruction_sets::vectorised;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const N: usize = 5 * LANES + 7;
+
+    /// (3) flows and confidences of trackers that agree in part; some know nothing, some say what is no number.
+    fn trackers() -> (Vec<Vec<[f32; 2]>>, Vec<Vec<f32>>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut flow = |k: usize| match k % 7 {
+            0 => [0.0; 2],
+            1 => [2.0, -1.0],
+            _ => [rng.random_range(-9.0..9.0), rng.random_range(-9.0..9.0)],
+        };
+        let mut flows: Vec<Vec<[f32; 2]>> = (0..3).map(|_| (0..N).map(&mut flow).collect()).collect();
+        let mut confidences = vec![vec![0.75; N]; 3];
+        for k in (0..N).step_by(11) {
+            (flows[k % 3][k], confidences[k % 3][k]) = ([f32::NAN; 2], 0.0);
+        }
+        (flows, confidences)
+    }
+
+    #[test]
+    fn every_instruction_set_scores_the_same_bits() {
+        let (flows, confidences) = trackers();
+        let flows: Vec<&[[f32; 2]]> = flows.iter().map(Vec::as_slice).collect();
+        let region: Vec<u8> = (0..N).map(|k| u8::from(k % 13 != 0)).collect();
+        let configs = [
+            (AgreementConfig::default(), None),
+            (AgreementConfig::default(), Some(region.as_slice())),
+            (AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: true }, None),
+        ];
+        for (config, region) in configs {
+            let score = |set| {
+                let mut out = confidences.clone();
+                let confidences = out.iter_mut().map(Vec::as_mut_slice).collect();
+                vectorised(set, Band { flows: &flows, confidences, region, config: &config })?;
+                Some(out)
+            };
+            let expected = score(0).unwrap();
+            assert!(expected.iter().flatten().all(|c| (0.0..=0.75).contains(c)));
+            assert!(expected[0].iter().any(|c| *c < 0.1) && expected[0].contains(&0.75));
+            assert!((1..3).filter_map(score).all(|other| other == expected), "{config:?}");
+        }
+    }
+}

@@ -20,6 +20,8 @@ mod agreement;
 mod config;
 mod exponential;
 mod gaussian_knn;
+#[cfg(test)]
+mod instruction_sets;
 mod interpolator;
 mod kernel_mean;
 mod natural_neighbour;
