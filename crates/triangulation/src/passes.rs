@@ -29,8 +29,8 @@ pub struct Fit<S: Simd> {
     pub worst_row: Real<S>,
     /// The next largest.
     pub second: Real<S>,
-    /// Pixels a metre in the nearest camera.
-    pub reach: Real<S>,
+    /// At most this squared (px^2/m^2) changes a projection, per metre, about the point: the largest `|J|^2` of a view.
+    pub reach2: Real<S>,
 }
 
 /// The squared residuals of all views at a point, in brief.
@@ -232,7 +232,7 @@ fn add_view<S: Simd>(
     let seen = row.weight.above(zero) & z.above(zero);
     let weight = seen.select(row.weight, zero);
     let near = one / seen.select(z, one);
-    let mut error2 = zero;
+    let (mut error2, mut reach2) = (zero, zero);
     for (axis, slope) in [(0, x * near), (1, y * near)] {
         let (across, away, focal) = (lens.rotation[axis], lens.rotation[2], lens.focal[axis]);
         let error = slope.times_minus(focal, row.target[axis]);
@@ -243,10 +243,12 @@ fn add_view<S: Simd>(
             slope.times_minus(away[2], across[2]),
         ];
         let scale = focal * near;
-        fit.reach = seen.select(fit.reach.or_greater(scale), fit.reach);
-        fit.normal.add_row(j, weight * scale * scale, weight * scale * error);
+        let scale2 = scale * scale;
+        fit.normal.add_row(j, weight * scale2, weight * scale * error);
         error2 = error.times_plus(error, error2);
+        reach2 = scale2.times_plus(slope.times_plus(slope, one), reach2);
     }
+    fit.reach2 = seen.select(fit.reach2.or_greater(reach2), fit.reach2);
     fit.cost = weight.times_plus(error2, fit.cost);
     (error2, seen)
 }
@@ -271,7 +273,7 @@ impl<S: Simd> WithSimd for ReprojectionPass<'_, '_, S> {
             worst: zero,
             worst_row: zero,
             second: zero,
-            reach: zero,
+            reach2: zero,
         };
         let mut hidden = Truth::nowhere(simd);
         for (k, row) in views.rows.iter().enumerate() {

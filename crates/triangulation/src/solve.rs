@@ -177,8 +177,6 @@ const MAX_STEPS: f64 = 20.0;
 const CONVERGED: f64 = 1e-9;
 /// The same where only the choice of the views depends on it: a hundredth of a pixel at the least.
 const ROUGH: f64 = 1e-6;
-/// Bound on the change of a residual (px) with a step, in pixels a metre straight ahead: half an image of 140 degrees.
-const MARGIN: f64 = 8.0;
 
 /// The least-squares points, from `start`. With a cut, in redescending rounds: drop the worst view beyond it, refine on
 /// the rest.
@@ -324,7 +322,7 @@ fn rays_only<S: Simd>(
     let zero = views.number(0.0);
     let normal = views.meet(point, RayWeights::Depth);
     let cost = views.ray_cost(point);
-    Fit { point, normal, cost, worst: zero, worst_row: zero, second: zero, reach: zero }
+    Fit { point, normal, cost, worst: zero, worst_row: zero, second: zero, reach2: zero }
 }
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
@@ -422,13 +420,19 @@ fn drop_collinear<S: Simd>(
 
 impl<S: Simd> Fit<S> {
     /// Where a step cannot change which view is the worst, nor whether it is within the cut: then it need not be taken to
-    /// tell. No residual changes by more than a few times the step at the nearest camera's pixels a metre.
+    /// tell.
+    ///
+    /// A step `s` from depth `z` with slopes `a = x / z`, `b = y / z` moves a projection by exactly
+    /// `(f_x (s_x - a s_z), f_y (s_y - b s_z)) / (z + s_z)`, which is at most `|J| |s| / (1 - |s| / z)`, where
+    /// `|J|^2 = (f_x^2 (1 + a^2) + f_y^2 (1 + b^2)) / z^2`, and a residual changes by no more than that. As `|J|` is at
+    /// least `f sqrt(2) / z`, twice `|J| |s|` is an upper bound wherever it is within the shortest focal length.
     #[inline(always)]
     fn certain(&self, views: &Views<S>, step: [Real<S>; 3], cut2: Real<S>) -> Truth<S> {
-        let margin = views.number(MARGIN) * dot(step, step).sqrt() * self.reach;
+        let margin = views.number(2.0) * (dot(step, step) * self.reach2).sqrt();
         let (worst, second, cut) = (self.worst.sqrt(), self.second.sqrt(), cut2.sqrt());
         let first = (worst - second).above(margin + margin);
-        cut.above(worst + margin) | (first & (worst - margin).above(cut))
+        let decided = cut.above(worst + margin) | (first & (worst - margin).above(cut));
+        decided & margin.up_to(views.number(views.least_focal))
     }
 
     #[inline(always)]
@@ -440,7 +444,10 @@ impl<S: Simd> Fit<S> {
             worst: place.select(yes.worst, no.worst),
             worst_row: place.select(yes.worst_row, no.worst_row),
             second: place.select(yes.second, no.second),
-            reach: place.select(yes.reach, no.reach),
+            reach2: place.select(yes.reach2, no.reach2),
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

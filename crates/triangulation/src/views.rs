@@ -61,6 +61,8 @@ pub struct Views<'a, S: Simd> {
     pub count: Real<S>,
     /// Distance of the farthest camera (m).
     pub scale: Real<S>,
+    /// The shortest focal length of all lenses (px).
+    pub least_focal: f64,
 }
 
 /// A camera in all lanes.
@@ -104,6 +106,7 @@ impl<'a, S: Simd> Views<'a, S> {
             previous: [zero; 3],
             count: zero,
             scale: zero,
+            least_focal: lenses.iter().map(|l| l.focal.min_element()).fold(f64::INFINITY, f64::min),
         }
     }
 
