@@ -56,7 +56,8 @@ impl TileMask {
 
     /// Whether any tile in these rows and columns is computed.
     pub(crate) fn any_in(&self, rows: RangeInclusive<i32>, columns: &RangeInclusive<i32>) -> bool {
-        let (first, end) = (*columns.start() as u32, *columns.end() as u32 + 1);
+        // A range left of the image ends at column -1.
+        let (first, end) = (*columns.start() as u32, (*columns.end() + 1) as u32);
         !columns.is_empty() && { rows }.any(|row| self.any(Span { row: row as u32, first, end }))
     }
 
@@ -204,5 +205,16 @@ mod tests {
             let tile = p / 40 / TILE * 3 + p % 40 / TILE;
             assert_eq!(count, usize::from(mask.is_active(tile)), "pixel {p}");
         }
+    }
+
+    #[test]
+    fn a_range_beside_the_image_holds_no_tile() {
+        let size = ImageSize { width: 40, height: 20 };
+        let mask = TileMask::covering(&Mask::new(size, vec![1; size.pixels()]).unwrap());
+        for (low, high) in [(-9.0, 0.25), (-9.0, -3.0), (60.0, 70.0)] {
+            let (first, last) = tile_range(low, high, 3);
+            assert!(!mask.any_in(0..=1, &(first..=last)), "{low} {high}");
+        }
+        assert!(mask.any_in(0..=1, &(2..=2)));
     }
 }
