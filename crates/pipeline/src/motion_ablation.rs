@@ -9,7 +9,7 @@ use ffgs_voronoi::{Method, SourceFilter};
 pub type Ablation = (&'static str, fn(&mut Config));
 
 /// In the order of the stages.
-pub const ABLATIONS: [Ablation; 24] = [
+pub const ABLATIONS: [Ablation; 25] = [
     ("as configured", |_| {}),
     ("literal: Algorithms 1 and 2", |c| *c = Config::literal()),
     ("literal fusion", |c| c.fusion = FusionConfig::literal()),
