@@ -189,7 +189,7 @@ mod tests {
         }
         let means: Vec<DVec3> = (0..4).map(|i| DVec3::new(0.0, 0.0, 10.0 + 0.01 * f64::from(i))).collect();
         let mut inside = vec![0; size.pixels()];
-        [15 * 32 + 15, 15 * 32 + 16, 16 * 32 + 15, 16 * 32 + 16].map(|p| inside[p] = 1);
+        [15 * 32 + 15, 15 * 32 + 16, 16 * 32 + 15, 16 * 32 + 16].into_iter().for_each(|p| inside[p] = 1);
         let mask = Mask::new(size, inside).unwrap();
         let mut field = DenseMotion::unknown(size);
         field.flow.fill([3.0, -4.0]);
