@@ -5,7 +5,8 @@ use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::path::Path;
 
 /// The configuration of a run.
@@ -88,6 +89,9 @@ pub struct AssociationConfig {
     /// A pixel is finished before the contribution that would bring its transmittance to this value: what shows
     /// through less moves with what hides it. 1e-4 = as far as is rendered.
     pub min_transmittance: f32,
+    /// Gaussians that each pixel counts for, the heaviest, at most [`MAX_CONTRIBUTORS`]; 0 = all.
+    #[serde(deserialize_with = "contributors")]
+    pub contributors: usize,
     /// Whether what cannot be in a view's image at t is left unobserved there.
     pub withdraw_unseen: bool,
     /// What turns with the rigid motion.
@@ -107,6 +111,15 @@ pub enum Rotate {
     SplatAndColour,
 }
 
+/// Largest number of contributors a pixel; each takes memory and time a pixel.
+const MAX_CONTRIBUTORS: usize = 64;
+
+fn contributors<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let found = usize::deserialize(deserializer)?;
+    let fault = || D::Error::custom(format!("0 (all) to {MAX_CONTRIBUTORS} contributors, found {found}"));
+    (found <= MAX_CONTRIBUTORS).then_some(found).ok_or_else(fault)
+}
+
 impl Default for AssociationConfig {
     fn default() -> Self {
         Self {
@@ -114,6 +127,7 @@ impl Default for AssociationConfig {
             min_coverage: 1e-3,
             min_hits: 2,
             min_transmittance: 1e-2,
+            contributors: 0,
             withdraw_unseen: true,
             rotate: Rotate::default(),
         }
@@ -130,8 +144,7 @@ impl Config {
         })
     }
 
-    /// The defaults with the paper's motion initialisation to the letter (Algorithms 1 and 2), apart from the number of
-    /// contributors a pixel.
+    /// The defaults with the paper's motion initialisation to the letter (Algorithms 1 and 2).
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {
@@ -144,6 +157,7 @@ impl Config {
             association: AssociationConfig {
                 flow_floor_px: 0.0,
                 min_transmittance: 1e-4,
+                contributors: 16,
                 withdraw_unseen: false,
                 rotate: Rotate::Nothing,
                 ..defaults.association
@@ -169,5 +183,13 @@ mod tests {
         let text = Config::default().to_toml().unwrap();
         assert_eq!(toml::from_str::<Config>(&text).unwrap(), Config::default());
         assert!(toml::from_str::<Config>("iterashuns = 3").is_err());
+    }
+
+    #[test]
+    fn contributors_beyond_the_largest_number_are_refused() {
+        let read = |count| toml::from_str::<Config>(&format!("association.contributors = {count}"));
+        assert_eq!(read(64).unwrap().association.contributors, 64);
+        let refused = read(65).unwrap_err().to_string();
+        assert!(refused.contains("0 (all) to 64 contributors, found 65"), "{refused}");
     }
 }

@@ -9,7 +9,7 @@ use ffgs_voronoi::{Method, SourceFilter};
 pub type Ablation = (&'static str, fn(&mut Config));
 
 /// In the order of the stages.
-pub const ABLATIONS: [Ablation; 25] = [
+pub const ABLATIONS: [Ablation; 26] = [
     ("as configured", |_| {}),
     ("literal: Algorithms 1 and 2", |c| *c = Config::literal()),
     ("literal fusion", |c| c.fusion = FusionConfig::literal()),
@@ -23,6 +23,7 @@ pub const ABLATIONS: [Ablation; 25] = [
     ("unknown counts as disagreement", |c| c.agreement.ignore_unknown = false),
     ("no flow floor", |c| c.association.flow_floor_px = 0.0),
     ("the hidden is observed", |c| c.association.min_transmittance = 1e-4),
+    ("sixteen contributors a pixel", |c| c.association.contributors = 16),
     ("what left the image counts", |c| c.association.withdraw_unseen = false),
     ("no depth weighting, no refinement", |c| {
         c.triangulation.depth_weighting = false;

@@ -1,4 +1,4 @@
-//! Motion fields to displaced projections of Gaussians, with every contributor (Algorithm 1, lines 15 to 19).
+//! Motion fields to displaced projections of Gaussians, with every contributor or the heaviest of each pixel (Algorithm 1, lines 15 to 19).
 
 use crate::blend::TilePlane;
 use crate::chunks::ChunkBounds;
@@ -28,6 +28,8 @@ pub struct Association<'a> {
     pub min_hits: u32,
     /// A pixel is finished before the contribution that would bring its transmittance to this value.
     pub min_transmittance: f32,
+    /// Gaussians that each pixel counts for, those with the largest `alpha T`; 0 = all.
+    pub contributors: usize,
 }
 
 /// One tracker's observations of N Gaussians in one view; what is not observed stays as it is.
@@ -101,6 +103,10 @@ impl PixelChannels for Channels<'_> {
         self.association.min_transmittance
     }
 
+    fn contributors(&self) -> usize {
+        self.association.contributors
+    }
+
     fn gather(&self, pixels: Range<usize>, local: usize, planes: &mut [TilePlane], open: &mut TilePlane) {
         let Association { mask, fields, flow_floor_px, .. } = self.association;
         let mask = &mask.data()[pixels.clone()];
@@ -145,7 +151,8 @@ impl Observed<'_> {
 impl Association<'_> {
     /// Renders `scene` and gives each tracker's mean flow and weight under the footprint of each of its N moving
     /// Gaussians: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with `a = alpha T`, over the
-    /// mask. Colours are not looked at.
+    /// mask. With `contributors` each pixel counts for the
+    /// heaviest `a` only, of all Gaussians. Colours are not looked at.
     pub fn observe(&self, scene: &AssociationScene, out: &mut [Observed], scratch: &mut AssociationScratch) {
         let AssociationScratch { tape, sums } = scratch;
         let AssociationScene { gaussians, means, bounds } = scene;
@@ -200,9 +207,18 @@ mod tests {
             let (mut targets, mut weights) = (vec![DVec2::ZERO; 4], vec![0.0; 4]);
             let mut out = [Observed { targets: &mut targets, weights: &mut weights }];
             let (camera, mask, fields) = (&camera, &mask, std::slice::from_ref(&field));
-            let (flow_floor_px, min_coverage, min_hits) = (0.25, 1e-3, 2);
-            Association { camera, mask, fields, flow_floor_px, min_coverage, min_hits, min_transmittance }
-                .observe(&scene, &mut out, &mut AssociationScratch::default());
+            let (flow_floor_px, min_coverage, min_hits, contributors) = (0.25, 1e-3, 2, 0);
+            Association {
+                camera,
+                mask,
+                fields,
+                flow_floor_px,
+                min_coverage,
+                min_hits,
+                min_transmittance,
+                contributors,
+            }
+            .observe(&scene, &mut out, &mut AssociationScratch::default());
             for i in 0..4 {
                 // Four pixels, alpha 0.8, a motion of 5 px.
                 let expected = if i < seen { 4.0 * 0.8 * 0.2_f64.powi(i as i32) * 5.0 } else { 0.0 };

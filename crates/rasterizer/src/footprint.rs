@@ -1,7 +1,7 @@
 //! Sums over the pixels that a Gaussian covers.
 
 use crate::backward::for_each_tile_slice;
-use crate::blend::{Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::chunks::ChunkBounds;
 use crate::contract::View;
 use crate::cpu::{CpuRasterizer, tile_origin};
@@ -9,6 +9,7 @@ use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_row};
 use crate::tile_lists::Entry;
 use crate::tiles::TileGrid;
+use crate::top_contributors::Heaviest;
 use ffgs_core::{Gaussians, ImageSize};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
@@ -42,6 +43,11 @@ pub(crate) trait PixelChannels: Sync {
     /// Transmittance at which a pixel is finished.
     fn finished(&self) -> f32 {
         MIN_TRANSMITTANCE
+    }
+
+    /// Contributions of each pixel that are summed, the heaviest; 0 = all.
+    fn contributors(&self) -> usize {
+        0
     }
 
     /// Writes the channels of a run of `pixels`, counted row by row, into the planes (a channel each) from `local` on, and
@@ -118,6 +124,13 @@ impl CpuRasterizer {
             let slots = &lists.slots[start..start + entries.len() / width];
             let (planes, open) = gather_channels(size, *grid, tile, channels);
             let origin = tile_origin(tile, *grid);
+            if channels.contributors() > 0 {
+                let count = channels.contributors().min(slots.len());
+                let mut heaviest = Heaviest::default();
+                heaviest.find(origin, splats, slots, finished, count, open);
+                sum_heaviest(&heaviest, wanted, &planes, entries);
+                return;
+            }
             for (step, planes) in planes.chunks(MAX_CHANNELS).enumerate() {
                 let (first, entries) = (step * MAX_CHANNELS, &mut *entries);
                 arch.dispatch(SumTile {
@@ -180,6 +193,19 @@ fn gather_channels(
     let mut open = TilePlane::ZERO;
     for_each_row(size, grid, tile, |pixels, local| channels.gather(pixels, local, &mut planes, &mut open));
     (planes, open)
+}
+
+/// The sums of [`SumTile`] over the heaviest contributions only.
+fn sum_heaviest(heaviest: &Heaviest, wanted: usize, planes: &[TilePlane], entries: &mut [f32]) {
+    let width = planes.len() + 1;
+    for pixel in 0..AREA {
+        let hit = f32::from(planes[0].0[pixel] != 0.0);
+        for (splat, weight) in heaviest.of(pixel).filter(|(splat, _)| (splat.index as usize) < wanted) {
+            let sums = &mut entries[splat.place * width..(splat.place + 1) * width];
+            sums.iter_mut().zip(planes).for_each(|(sum, plane)| *sum += weight * plane.0[pixel]);
+            sums[planes.len()] += hit;
+        }
+    }
 }
 
 /// Channels summed in one walk over a tile; more take several.

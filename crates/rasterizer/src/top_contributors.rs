@@ -33,22 +33,21 @@ impl CpuRasterizer {
     ) -> TopContributors {
         self.prepare(gaussians, view, tape);
         let (size, grid, lists, splats) = (view.camera.size(), tape.grid, &tape.lists, &tape.splats);
-        let (arch, width) = (Arch::new(), size.width);
+        let width = size.width;
         let n = size.pixels() * count;
         let mut out = TopContributors { count, indices: vec![-1; n], weights: vec![0.0; n] };
         let band = (TILE * width * count).max(1);
         let rows = out.indices.par_chunks_mut(band).zip(out.weights.par_chunks_mut(band)).enumerate();
         rows.for_each(|(row, (indices, weights))| {
-            let mut best = vec![(-1, 0.0); AREA * count];
+            let mut heaviest = Heaviest::default();
             for tile in row * grid.columns..(row + 1) * grid.columns {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-                best.fill((-1, 0.0));
                 let origin = tile_origin(tile, grid);
-                arch.dispatch(TopTile { origin, splats, slots, count, best: &mut best });
+                heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, TilePlane::ONE);
                 for_each_pixel(size, grid, tile, |pixel, local| {
                     let first = (pixel - origin[1] * width) * count;
-                    for (k, &(index, weight)) in best[local * count..][..count].iter().enumerate() {
-                        (indices[first + k], weights[first + k]) = (index, weight);
+                    for (k, (walked, weight)) in heaviest.of(local).enumerate() {
+                        (indices[first + k], weights[first + k]) = (walked.index as i32, weight);
                     }
                 });
             }
@@ -57,12 +56,58 @@ impl CpuRasterizer {
     }
 }
 
+/// A splat of a tile.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Walked {
+    /// Its Gaussian.
+    pub(crate) index: u32,
+    /// Where the tile keeps its sums.
+    pub(crate) place: usize,
+}
+
+/// The heaviest contributions of each pixel of a tile.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Heaviest {
+    count: usize,
+    /// Splats that the walk reached.
+    walked: Vec<Walked>,
+    /// (pixels, count) which of them, and `alpha T`; 0 where empty.
+    best: Vec<(usize, f32)>,
+}
+
+impl Heaviest {
+    /// Walks over a tile, down to the transmittance `finished`, and keeps the `count` heaviest of each pixel. `open` is the transmittance to begin with: 0 in
+    /// pixels that do not count.
+    pub(crate) fn find(
+        &mut self,
+        origin: [usize; 2],
+        splats: &[Splat],
+        slots: &[Entry],
+        finished: f32,
+        count: usize,
+        open: TilePlane,
+    ) {
+        self.count = count;
+        self.walked.clear();
+        self.best.clear();
+        self.best.resize(AREA * count, (0, 0.0));
+        Arch::new().dispatch(TopTile { origin, splats, slots, finished, open, heaviest: self });
+    }
+
+    /// Those of one pixel with their weights, heaviest first.
+    pub(crate) fn of(&self, pixel: usize) -> impl Iterator<Item = (Walked, f32)> {
+        let best = &self.best[pixel * self.count..(pixel + 1) * self.count];
+        best.iter().take_while(|(_, weight)| *weight > 0.0).map(|&(n, weight)| (self.walked[n], weight))
+    }
+}
+
 struct TopTile<'a> {
     origin: [usize; 2],
     splats: &'a [Splat],
     slots: &'a [Entry],
-    count: usize,
-    best: &'a mut [(i32, f32)],
+    finished: f32,
+    open: TilePlane,
+    heaviest: &'a mut Heaviest,
 }
 
 impl WithSimd for TopTile<'_> {
@@ -70,22 +115,15 @@ impl WithSimd for TopTile<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { origin, splats, slots, count, best } = self;
-        let mut visitor = Keep { index: -1, count, best };
-        walk(simd, origin, splats, slots, MIN_TRANSMITTANCE, &mut TilePlane::ONE.clone(), &mut visitor);
+        let Self { origin, splats, slots, finished, mut open, heaviest } = self;
+        walk(simd, origin, splats, slots, finished, &mut open, heaviest);
     }
 }
 
-struct Keep<'a> {
-    index: i32,
-    count: usize,
-    best: &'a mut [(i32, f32)],
-}
-
-impl<S: Simd> Visitor<S> for Keep<'_> {
+impl<S: Simd> Visitor<S> for Heaviest {
     #[inline(always)]
     fn begin(&mut self, _: S, splat: &Splat) {
-        self.index = splat.index as i32;
+        self.walked.push(Walked { index: splat.index, place: 0 });
     }
 
     #[inline(always)]
@@ -94,16 +132,21 @@ impl<S: Simd> Visitor<S> for Keep<'_> {
         simd.partial_store_f32s(&mut weights[..S::F32_LANES], c.weight);
         for (lane, &weight) in weights[..S::F32_LANES].iter().enumerate().filter(|(_, w)| **w > 0.0) {
             let pixel = c.vector * S::F32_LANES + lane;
-            insert(&mut self.best[pixel * self.count..(pixel + 1) * self.count], (self.index, weight));
+            let candidate = (self.walked.len() - 1, weight);
+            insert(&mut self.best[pixel * self.count..(pixel + 1) * self.count], candidate);
         }
     }
 
     #[inline(always)]
-    fn end(&mut self, _: S, _: usize) {}
+    fn end(&mut self, _: S, place: usize) {
+        if let Some(walked) = self.walked.last_mut() {
+            walked.place = place;
+        }
+    }
 }
 
 /// Keeps a descending list; of equal weights the one in front stays first.
-fn insert(list: &mut [(i32, f32)], candidate: (i32, f32)) {
+fn insert(list: &mut [(usize, f32)], candidate: (usize, f32)) {
     let place = list.partition_point(|&(_, w)| w >= candidate.1);
     if place < list.len() {
         list[place..].rotate_right(1);

@@ -132,6 +132,7 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
                 min_coverage: 1e-3,
                 min_hits: 2,
                 min_transmittance: 1e-2,
+                contributors: 0,
             };
             let mut own = scratch.lock().expect("no panic").pop().unwrap_or_default();
             association.observe(&gaussians, out, &mut own);

@@ -52,6 +52,7 @@ fn one_view(c: &mut Criterion) {
             min_coverage: 1e-3,
             min_hits: 2,
             min_transmittance: 1e-2,
+            contributors: 0,
         };
         group.bench_function(BenchmarkId::new("association", scale.label()), |b| {
             associate(b, &association, &whole);

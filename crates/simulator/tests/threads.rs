@@ -20,6 +20,8 @@ const SMALL: Scale =
 #[derive(Debug, PartialEq)]
 struct Outcome {
     observations: Vec<(Vec<DVec2>, Vec<f64>)>,
+    /// With the three heaviest contributors of each pixel.
+    heaviest: Vec<(Vec<DVec2>, Vec<f64>)>,
     estimates: Vec<(Vec<DVec3>, Vec<DMat3>)>,
     means: Vec<DVec3>,
     covariances: Vec<DMat3>,
@@ -42,7 +44,7 @@ fn the_initialisation_does_not_depend_on_the_number_of_threads() {
 
 fn initialise(scene: &Scene) -> Outcome {
     let fields: Vec<Vec<DenseMotion>> = scene.views.par_iter().map(fields).collect();
-    let observations = observe(scene, &fields);
+    let observations = observe(scene, &fields, 0);
     let estimate = |observation| {
         let mut out = Estimates::default();
         WeightedRays::default()
@@ -64,8 +66,9 @@ fn initialise(scene: &Scene) -> Outcome {
     let masks: Vec<Mask> = scene.views.iter().map(|v| v.mask_now.clone()).collect();
     let counts = count_views(&fused.means, &scene.cameras, &masks).expect("one size");
     let estimates = estimates.into_iter().map(|e| (e.means, e.covariances)).collect();
-    let observations = observations.into_iter().map(|o| (o.targets, o.weights)).collect();
-    Outcome { observations, estimates, means: fused.means, covariances: fused.covariances, counts }
+    let columns = |all: Vec<Observations>| all.into_iter().map(|o| (o.targets, o.weights)).collect();
+    let (observations, heaviest) = (columns(observations), columns(observe(scene, &fields, 3)));
+    Outcome { observations, heaviest, estimates, means: fused.means, covariances: fused.covariances, counts }
 }
 
 fn fields(view: &scene::SceneView) -> Vec<DenseMotion> {
@@ -77,8 +80,8 @@ fn fields(view: &scene::SceneView) -> Vec<DenseMotion> {
     fields
 }
 
-/// (L) observations of all views.
-fn observe(scene: &Scene, fields: &[Vec<DenseMotion>]) -> Vec<Observations> {
+/// (L) observations of all views, with so many contributors a pixel.
+fn observe(scene: &Scene, fields: &[Vec<DenseMotion>], contributors: usize) -> Vec<Observations> {
     let n = scene.previous.len();
     let mut observations = vec![Observations::unobserved(scene.views.len(), n); fields[0].len()];
     for (v, (view, fields)) in scene.views.iter().zip(fields).enumerate() {
@@ -90,7 +93,7 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>]) -> Vec<Observations> {
             })
             .collect();
         let (camera, mask) = (&scene.cameras[v], &view.mask);
-        Association {
+        let association = Association {
             camera,
             mask,
             fields,
@@ -98,12 +101,10 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>]) -> Vec<Observations> {
             min_coverage: 1e-3,
             min_hits: 2,
             min_transmittance: 1e-2,
-        }
-        .observe(
-            &AssociationScene::new(&scene.joint, &scene.previous),
-            &mut out,
-            &mut AssociationScratch::default(),
-        );
+            contributors,
+        };
+        let joint = AssociationScene::new(&scene.joint, &scene.previous);
+        association.observe(&joint, &mut out, &mut AssociationScratch::default());
     }
     observations
 }

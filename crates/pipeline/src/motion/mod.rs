@@ -104,7 +104,7 @@ pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOu
     if *input.init == Init::None || dynamic.gaussians.is_empty() {
         return Ok(outcome);
     }
-    let mut observations = match on_gpu::device(input) {
+    let mut observations = match on_gpu::device(input, &mut outcome) {
         Some(gpu) => on_gpu::observe(gpu, input, &dynamic.gaussians, &mut outcome)?,
         None => observe(input, &dynamic.gaussians, &mut outcome, &mut |_, _| {})?,
     };

@@ -60,6 +60,7 @@ fn association<'a>(
         min_coverage: config.min_coverage,
         min_hits: config.min_hits,
         min_transmittance: config.min_transmittance,
+        contributors: config.contributors,
     }
 }
 

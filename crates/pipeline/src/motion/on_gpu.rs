@@ -13,7 +13,13 @@ use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes};
 use std::time::Instant;
 
 /// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
-pub(super) fn device<'a>(input: &MotionInput<'a>) -> Option<&'a Gpu> {
+pub(super) fn device<'a>(input: &MotionInput<'a>, outcome: &mut MotionOutcome) -> Option<&'a Gpu> {
+    if input.gpu.is_some() && input.config.association.contributors > 0 {
+        outcome
+            .warnings
+            .push("association.contributors: association and motion fields are left to the CPU".into());
+        return None;
+    }
     let trackers = input.tracks.map_or(0, |store| store.trackers().len());
     input.gpu.filter(|_| ffgs_motion_gpu::supports(&input.config.voronoi, trackers))
 }
@@ -159,7 +165,11 @@ mod tests {
             static_layer: &fixed,
             gpu: Some(&gpu),
         };
-        assert!(device(&input).is_some() && moving.len() > 100, "{} Gaussians", moving.len());
+        assert!(
+            device(&input, &mut MotionOutcome::default()).is_some() && moving.len() > 100,
+            "{} Gaussians",
+            moving.len()
+        );
         let outcome = || MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
         let expected = super::super::observe(&input, &moving, &mut outcome(), &mut |_, _| {}).unwrap();
         let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
