@@ -62,6 +62,7 @@ fn observe(balls: &[Ball], moving: usize, contributors: usize) -> (Vec<DVec2>, V
         flow_floor_px: 0.25,
         min_coverage: 1e-3,
         min_hits: 2,
+        min_transmittance: 1e-4,
         contributors,
     };
     let scene = AssociationScene::new(&gaussians, &means[..moving]);
