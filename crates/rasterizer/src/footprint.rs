@@ -127,7 +127,7 @@ impl CpuRasterizer {
             if channels.contributors() > 0 {
                 let count = channels.contributors().min(slots.len());
                 let mut heaviest = Heaviest::default();
-                heaviest.find(origin, splats, slots, finished, count, open);
+                heaviest.find(origin, splats, slots, finished, count, &open);
                 sum_heaviest(&heaviest, wanted, &planes, entries);
                 return;
             }

@@ -43,7 +43,7 @@ impl CpuRasterizer {
             for tile in row * grid.columns..(row + 1) * grid.columns {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
                 let origin = tile_origin(tile, grid);
-                heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, TilePlane::ONE);
+                heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, &TilePlane::ONE);
                 for_each_pixel(size, grid, tile, |pixel, local| {
                     let first = (pixel - origin[1] * width) * count;
                     for (k, (walked, weight)) in heaviest.of(local).enumerate() {
@@ -85,7 +85,7 @@ impl Heaviest {
         slots: &[Entry],
         finished: f32,
         count: usize,
-        open: TilePlane,
+        open: &TilePlane,
     ) {
         self.count = count;
         self.walked.clear();
@@ -106,7 +106,7 @@ struct TopTile<'a> {
     splats: &'a [Splat],
     slots: &'a [Entry],
     finished: f32,
-    open: TilePlane,
+    open: &'a TilePlane,
     heaviest: &'a mut Heaviest,
 }
 
@@ -115,8 +115,8 @@ impl WithSimd for TopTile<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { origin, splats, slots, finished, mut open, heaviest } = self;
-        walk(simd, origin, splats, slots, finished, &mut open, heaviest);
+        let Self { origin, splats, slots, finished, open, heaviest } = self;
+        walk(simd, origin, splats, slots, finished, &mut open.clone(), heaviest);
     }
 }
 
