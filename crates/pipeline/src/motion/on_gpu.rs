@@ -170,6 +170,10 @@ mod tests {
             "{} Gaussians",
             moving.len()
         );
+        let mut limited = config;
+        limited.association.contributors = 16;
+        let (limited, mut warned) = (MotionInput { config: &limited, ..input }, MotionOutcome::default());
+        assert!(device(&limited, &mut warned).is_none() && warned.warnings.len() == 1);
         let outcome = || MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
         let expected = super::super::observe(&input, &moving, &mut outcome(), &mut |_, _| {}).unwrap();
         let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
