@@ -1,10 +1,11 @@
-//! Motion fields to displaced projections of Gaussians, with every contributor or the heaviest of each pixel (Algorithm 1, lines 15 to 19).
+//! Motion fields to displaced projections of Gaussians, with every contributor or the heaviest of each pixel
+//! (Algorithm 1, lines 15 to 19).
 
 use crate::blend::TilePlane;
 use crate::chunks::ChunkBounds;
 use crate::contract::{Background, RenderOptions, View};
 use crate::cpu::CpuRasterizer;
-use crate::footprint::{EntrySums, PixelChannels};
+use crate::footprint::{EntrySums, PixelChannels, Summed};
 use crate::tape::RenderTape;
 use crate::tiles::TileMask;
 use ffgs_core::{Camera, DenseMotion, Gaussians, Mask};
@@ -122,7 +123,7 @@ impl PixelChannels for Channels<'_> {
             for k in 0..mask.len() {
                 // A tracker that knows nothing at a pixel must not pull the mean displacement toward zero.
                 let known = if mask[k] != 0 && confidence[k] > 0.0 { 1.0 } else { 0.0 };
-                let [x, y] = flow[k].map(|v| known * v);
+                let [x, y] = if known > 0.0 { flow[k] } else { [0.0; 2] };
                 let at = local + k;
                 planes[place.first].0[at] = x;
                 planes[place.first + 1].0[at] = y;
@@ -151,8 +152,7 @@ impl Observed<'_> {
 impl Association<'_> {
     /// Renders `scene` and gives each tracker's mean flow and weight under the footprint of each of its N moving
     /// Gaussians: `x = project(mean) + sum a F / sum a`, `w = sum a C max(|F|, floor)` with `a = alpha T`, over the
-    /// mask. With `contributors` each pixel counts for the
-    /// heaviest `a` only, of all Gaussians. Colours are not looked at.
+    /// mask. With `contributors` each pixel counts for the heaviest `a` only, of all Gaussians. Colours are not looked at.
     pub fn observe(&self, scene: &AssociationScene, out: &mut [Observed], scratch: &mut AssociationScratch) {
         let AssociationScratch { tape, sums } = scratch;
         let AssociationScene { gaussians, means, bounds } = scene;
@@ -161,7 +161,8 @@ impl Association<'_> {
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
         let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) });
         let channels = Channels::new(*self);
-        rasterizer.sum_entries(gaussians, Some(bounds), means.len(), &view, &channels, tape, sums);
+        let summed = Summed { gaussians, bounds: Some(bounds), wanted: means.len() };
+        rasterizer.sum_entries(&summed, &view, &channels, tape, sums);
         sums.for_each(tape, means.len(), |i, values, hits| {
             if values[0] <= self.min_coverage || hits < self.min_hits {
                 return;
@@ -201,12 +202,15 @@ mod tests {
         let mut field = DenseMotion::unknown(size);
         field.flow.fill([3.0, -4.0]);
         field.confidence.fill(1.0);
+        // The second tracker knows three of the four pixels; whatever it says of the fourth may not come in.
+        let mut gap = field.clone();
+        (gap.flow[15 * 32 + 16], gap.confidence[15 * 32 + 16]) = ([f32::NAN; 2], 0.0);
         let scene = AssociationScene::new(&gaussians, &means);
         // The transmittances behind them are 0.2, 0.04, 0.008 and 0.0016.
         for (min_transmittance, seen) in [(1e-4, 4), (5e-3, 3), (1e-2, 2), (0.1, 1), (0.5, 0)] {
-            let (mut targets, mut weights) = (vec![DVec2::ZERO; 4], vec![0.0; 4]);
-            let mut out = [Observed { targets: &mut targets, weights: &mut weights }];
-            let (camera, mask, fields) = (&camera, &mask, std::slice::from_ref(&field));
+            let mut columns = [0, 1].map(|_| (vec![DVec2::ZERO; 4], vec![0.0; 4]));
+            let mut out = columns.each_mut().map(|(targets, weights)| Observed { targets, weights });
+            let (camera, mask, fields) = (&camera, &mask, &[field.clone(), gap.clone()]);
             let (flow_floor_px, min_coverage, min_hits, contributors) = (0.25, 1e-3, 2, 0);
             Association {
                 camera,
@@ -219,12 +223,14 @@ mod tests {
                 contributors,
             }
             .observe(&scene, &mut out, &mut AssociationScratch::default());
-            for i in 0..4 {
-                // Four pixels, alpha 0.8, a motion of 5 px.
-                let expected = if i < seen { 4.0 * 0.8 * 0.2_f64.powi(i as i32) * 5.0 } else { 0.0 };
-                assert!((weights[i] - expected).abs() <= 0.03 * expected, "splat {i}: {weights:?}");
-                let moved = DVec2::new(19.0, 12.0);
-                assert!(i >= seen || (targets[i] - moved).length() < 1e-4, "splat {i}: {targets:?}");
+            for ((targets, weights), pixels) in columns.iter().zip([4.0, 3.0]) {
+                for i in 0..4 {
+                    // Alpha 0.8, a motion of 5 px.
+                    let expected = if i < seen { pixels * 0.8 * 0.2_f64.powi(i as i32) * 5.0 } else { 0.0 };
+                    assert!((weights[i] - expected).abs() <= 0.03 * expected, "splat {i}: {weights:?}");
+                    let moved = DVec2::new(19.0, 12.0);
+                    assert!(i >= seen || (targets[i] - moved).length() < 1e-4, "splat {i}: {targets:?}");
+                }
             }
         }
     }

@@ -87,26 +87,23 @@ impl CpuRasterizer {
         sums.resize(n * count, 0.0);
         hits.clear();
         hits.resize(n, 0);
-        self.sum_entries(gaussians, None, n, view, &channels, tape, by_entry);
+        self.sum_entries(&Summed { gaussians, bounds: None, wanted: n }, view, &channels, tape, by_entry);
         by_entry.for_each(tape, n, |i, values, hit| {
             sums[i * count..(i + 1) * count].copy_from_slice(values);
             hits[i] = hit;
         });
     }
 
-    /// Renders `gaussians` and sums the channels per (tile, splat) entry of the first `wanted` of them; the others only
-    /// hide what is behind them. Chunks of Gaussians whose `bounds` are out of sight are passed over.
-    #[allow(clippy::too_many_arguments)]
+    /// Renders Gaussians and sums the channels per (tile, splat) entry.
     pub(crate) fn sum_entries(
         &self,
-        gaussians: &Gaussians,
-        bounds: Option<&ChunkBounds>,
-        wanted: usize,
+        summed: &Summed,
         view: &View,
         channels: &impl PixelChannels,
         tape: &mut RenderTape,
         out: &mut EntrySums,
     ) {
+        let &Summed { gaussians, bounds, wanted } = summed;
         self.prepare_within(gaussians, bounds, view, tape);
         let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
         let finished = channels.finished();
@@ -148,6 +145,16 @@ impl CpuRasterizer {
             }
         });
     }
+}
+
+/// Whose footprints are summed.
+pub(crate) struct Summed<'a> {
+    /// All that is rendered.
+    pub(crate) gaussians: &'a Gaussians,
+    /// Chunks of them that are out of a view's sight are passed over.
+    pub(crate) bounds: Option<&'a ChunkBounds>,
+    /// The first so many are summed; the others only hide what is behind them.
+    pub(crate) wanted: usize,
 }
 
 /// Sums of each (tile, splat) entry by its place: those of the channels, then the hits.

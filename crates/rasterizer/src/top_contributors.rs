@@ -76,8 +76,8 @@ pub(crate) struct Heaviest {
 }
 
 impl Heaviest {
-    /// Walks over a tile, down to the transmittance `finished`, and keeps the `count` heaviest of each pixel. `open` is the transmittance to begin with: 0 in
-    /// pixels that do not count.
+    /// Walks over a tile, down to the transmittance `finished`, and keeps the `count` heaviest of each pixel. `open` is the
+    /// transmittance to begin with: 0 in pixels that do not count.
     pub(crate) fn find(
         &mut self,
         origin: [usize; 2],
