@@ -28,7 +28,7 @@ fn field_planes(
             planes[first] = 1.0;
             planes[first + job.plane] = field.x;
             planes[first + 2u * job.plane] = field.y;
+            planes[first + 3u * job.plane] = field.w * max(length(field.xy), job.flow_floor);
         }
-        planes[first + 3u * job.plane] = field.w * max(length(field.xy), job.flow_floor);
     }
 }
