@@ -88,6 +88,7 @@ pub struct AssociationConfig {
     pub min_hits: u32,
     /// A pixel is finished before the contribution that would bring its transmittance to this value: what shows
     /// through less moves with what hides it. 1e-4 = as far as is rendered.
+    #[serde(deserialize_with = "transmittance")]
     pub min_transmittance: f32,
     /// Gaussians that each pixel counts for, the heaviest, at most [`MAX_CONTRIBUTORS`]; 0 = all.
     #[serde(deserialize_with = "contributors")]
@@ -118,6 +119,12 @@ fn contributors<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::
     let found = usize::deserialize(deserializer)?;
     let fault = || D::Error::custom(format!("0 (all) to {MAX_CONTRIBUTORS} contributors, found {found}"));
     (found <= MAX_CONTRIBUTORS).then_some(found).ok_or_else(fault)
+}
+
+fn transmittance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    let found = f32::deserialize(deserializer)?;
+    let fault = || D::Error::custom(format!("a transmittance of at least 0 and below 1, found {found}"));
+    (0.0..1.0).contains(&found).then_some(found).ok_or_else(fault)
 }
 
 impl Default for AssociationConfig {
@@ -183,6 +190,16 @@ mod tests {
         let text = Config::default().to_toml().unwrap();
         assert_eq!(toml::from_str::<Config>(&text).unwrap(), Config::default());
         assert!(toml::from_str::<Config>("iterashuns = 3").is_err());
+    }
+
+    #[test]
+    fn transmittances_that_are_none_are_refused() {
+        let read = |value| toml::from_str::<Config>(&format!("association.min_transmittance = {value}"));
+        assert_eq!(read("0.5").unwrap().association.min_transmittance, 0.5);
+        for value in ["1.0", "-0.1", "nan", "inf"] {
+            let refused = read(value).unwrap_err().to_string();
+            assert!(refused.contains("at least 0 and below 1, found"), "{refused}");
+        }
     }
 
     #[test]
