@@ -1,4 +1,4 @@
-//! Builds the program in release and starts it.
+//! Builds the programs in release and starts them.
 
 use crate::workspace;
 use anyhow::{Context, Result, bail, ensure};
@@ -8,8 +8,20 @@ use std::process::{Command, ExitCode, ExitStatus};
 /// The capture that ships with the repository.
 pub const SAMPLE: &str = "fixtures/scenes/fairmont-mini";
 
-/// Commands of the program that `cargo xtask` hands on.
-const COMMANDS: [&str; 8] = ["run", "check", "stage", "render", "eval", "config", "motion-eval", "devices"];
+/// A program, and those of its commands that `cargo xtask` hands on.
+struct Program {
+    package: &'static str,
+    name: &'static str,
+    commands: &'static [&'static str],
+}
+
+const FFGS: Program = Program {
+    package: "ffgs-pipeline",
+    name: "ffgs",
+    commands: &["run", "check", "stage", "render", "eval", "config", "devices"],
+};
+const LAB: Program =
+    Program { package: "ffgs-lab", name: "ffgs-lab", commands: &["motion-eval", "simulate", "ablations"] };
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
 pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
@@ -23,42 +35,47 @@ pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
     Ok(workspace::exit_code(status))
 }
 
-/// Any other command of the program, with its own arguments.
+/// Any other command of a program, with its own arguments.
 pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
     let name = args.first().map_or("", String::as_str);
-    if !COMMANDS.contains(&name) {
+    let Some(program) = [FFGS, LAB].into_iter().find(|program| program.commands.contains(&name)) else {
         bail!("no command `{name}`; `cargo xtask --help` lists them");
-    }
-    let program = build(root)?;
-    Ok(workspace::exit_code(start(&program, args)?))
+    };
+    Ok(workspace::exit_code(start(&program.build(root, "release")?, args)?))
 }
 
-/// Builds the release binary and returns its path.
+/// Builds the release binary of `ffgs` and returns its path.
 pub fn build(root: &Path) -> Result<PathBuf> {
     build_in(root, "release")
 }
 
-/// Builds the binary with a profile, `release` or `dev`, and returns its path.
+/// Builds `ffgs` with a profile, `release` or `dev`, and returns its path.
 pub fn build_in(root: &Path, profile: &str) -> Result<PathBuf> {
-    let binary = binary(root, profile);
-    let mut command = workspace::cargo(root);
-    command.args(["build", "--profile", profile, "-p", "ffgs-pipeline", "--bin", "ffgs"]);
-    // A first build takes minutes and shows its progress; later ones leave the screen to the program.
-    if binary.is_file() {
-        command.arg("--quiet");
-    }
-    let status = command.status().context("cannot start cargo")?;
-    ensure!(status.success(), "the build of ffgs failed");
-    Ok(binary)
+    FFGS.build(root, profile)
 }
 
-/// Where the binary of a profile lies.
-fn binary(root: &Path, profile: &str) -> PathBuf {
-    let target =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir));
-    // Cargo's folder of the profile `dev` has another name.
-    let folder = if profile == "dev" { "debug" } else { profile };
-    target.join(folder).join(format!("ffgs{}", std::env::consts::EXE_SUFFIX))
+impl Program {
+    fn build(&self, root: &Path, profile: &str) -> Result<PathBuf> {
+        let binary = self.binary(root, profile);
+        let mut command = workspace::cargo(root);
+        command.args(["build", "--profile", profile, "-p", self.package, "--bin", self.name]);
+        // A first build takes minutes and shows its progress; later ones leave the screen to the program.
+        if binary.is_file() {
+            command.arg("--quiet");
+        }
+        let status = command.status().context("cannot start cargo")?;
+        ensure!(status.success(), "the build of {} failed", self.name);
+        Ok(binary)
+    }
+
+    /// Where the binary of a profile lies.
+    fn binary(&self, root: &Path, profile: &str) -> PathBuf {
+        let target =
+            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |dir| root.join(dir));
+        // Cargo's folder of the profile `dev` has another name.
+        let folder = if profile == "dev" { "debug" } else { profile };
+        target.join(folder).join(format!("{}{}", self.name, std::env::consts::EXE_SUFFIX))
+    }
 }
 
 fn start(program: &Path, args: &[String]) -> Result<ExitStatus> {

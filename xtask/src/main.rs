@@ -23,13 +23,15 @@ struct Cli {
 }
 
 const AFTER_HELP: &str = "\
-Every command of the program itself passes through, with the program built in release first:
+Every command of ffgs and of ffgs-lab passes through, with the program built in release first:
   cargo xtask check CAPTURE                     what a capture holds, and every fault in it
   cargo xtask stage NAME --input in.npz --output out.npz
   cargo xtask render RUN --frame 3 --orbit
   cargo xtask eval RUN
   cargo xtask config                            the default configuration, with comments
-  cargo xtask motion-eval --help
+  cargo xtask motion-eval CAPTURE               the motion initialisation against ground truth
+  cargo xtask simulate                          the fusion on simulated scenes
+  cargo xtask ablations [CAPTURE]               every single change of the configuration
   cargo xtask devices                           the GPUs, and which one a run takes
   cargo xtask COMMAND --help                    the options of one of them";
 

@@ -32,8 +32,6 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure a finished run again
     Eval(EvalArgs),
-    /// Score the motion initialisation against a capture's ground truth
-    MotionEval(crate::motion_eval::MotionEvalArgs),
     /// List the GPUs, their limits and what each would be used as
     Devices,
     /// Print the configuration, every key with its meaning
@@ -51,6 +49,22 @@ pub struct LogArgs {
     /// No progress bars, errors only
     #[arg(short, long, conflicts_with = "verbose")]
     pub quiet: bool,
+}
+
+impl LogArgs {
+    /// Sends log messages to the standard error.
+    pub fn start(self) {
+        let level = match (self.quiet, self.verbose) {
+            (true, _) => LevelFilter::ERROR,
+            (_, 0) => LevelFilter::WARN,
+            (_, 1) => LevelFilter::INFO,
+            (_, 2) => LevelFilter::DEBUG,
+            _ => LevelFilter::TRACE,
+        };
+        let plain = tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(level);
+        // Fails only when there is a subscriber already, which is then as good.
+        let _ = plain.without_time().with_target(false).try_init();
+    }
 }
 
 /// `ffgs check`.
@@ -267,50 +281,32 @@ pub fn main() -> ExitCode {
 fn dispatch(command: Command) -> Result<ExitCode> {
     match command {
         Command::Check(args) => {
-            start_log(args.log);
+            args.log.start();
             let check = crate::check::check_capture(&args.capture, args.log.quiet)?;
             print!("{check}");
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }
         Command::Run(args) => {
-            start_log(args.log);
+            args.log.start();
             let report = crate::run::run(&crate::request::from_args(&args)?)?;
             println!("{}", report.display());
         }
         Command::Render(args) => {
-            start_log(args.log);
+            args.log.start();
             crate::render::render(&args)?;
         }
         Command::Eval(args) => {
-            start_log(args.log);
+            args.log.start();
             crate::eval::eval(&args)?;
-        }
-        Command::MotionEval(args) => {
-            start_log(args.log);
-            crate::motion_eval::motion_eval(&args)?;
         }
         Command::Devices => device::list(),
         Command::Config(args) => crate::config_text::print(&args)?,
         Command::Stage(args) => {
-            start_log(args.log);
+            args.log.start();
             stage::run(args.name, &args.input, &args.output, &args.device)?;
         }
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Sends log messages to the standard error.
-fn start_log(log: LogArgs) {
-    let level = match (log.quiet, log.verbose) {
-        (true, _) => LevelFilter::ERROR,
-        (_, 0) => LevelFilter::WARN,
-        (_, 1) => LevelFilter::INFO,
-        (_, 2) => LevelFilter::DEBUG,
-        _ => LevelFilter::TRACE,
-    };
-    let plain = tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(level);
-    // Fails only when there is a subscriber already, which is then as good.
-    let _ = plain.without_time().with_target(false).try_init();
 }
 
 #[cfg(test)]

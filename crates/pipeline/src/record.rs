@@ -127,7 +127,7 @@ impl RunFolder {
         self.frame(frame).join("frame.json")
     }
 
-    /// How near to the truth the motion initialisation was, once `ffgs motion-eval --run` has scored it.
+    /// How near to the truth the motion initialisation was, once `ffgs-lab motion-eval --run` has scored it.
     pub fn motion_accuracy(&self) -> PathBuf {
         self.0.join("motion-accuracy.json")
     }

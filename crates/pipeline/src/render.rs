@@ -26,7 +26,7 @@ const ORBIT_MARGIN: f64 = 2.5;
 const ORBIT_ELEVATION: f64 = 0.3;
 
 /// A run with at least one finished frame, and its capture.
-pub(crate) struct FinishedRun {
+pub struct FinishedRun {
     /// Output folder.
     pub folder: RunFolder,
     /// What was run.
@@ -39,7 +39,7 @@ pub(crate) struct FinishedRun {
 
 impl FinishedRun {
     /// Opens the run in `path`.
-    pub(crate) fn open(path: &Path) -> Result<Self> {
+    pub fn open(path: &Path) -> Result<Self> {
         let folder = RunFolder(path.to_owned());
         if !folder.manifest().exists() {
             bail!("{} is no output folder of ffgs run: it has no run.json", path.display());
@@ -62,12 +62,12 @@ impl FinishedRun {
     }
 
     /// The numbers of every finished frame.
-    pub(crate) fn records(&self) -> Result<Vec<FrameRecord>> {
+    pub fn records(&self) -> Result<Vec<FrameRecord>> {
         self.frames.iter().map(|&frame| read_json(&self.folder.record(frame))).collect()
     }
 
     /// Reads the layers of a frame.
-    pub(crate) fn layers(&self, frame: usize) -> Result<Layers> {
+    pub fn layers(&self, frame: usize) -> Result<Layers> {
         let path = self.folder.state(frame);
         state::load(&path).with_context(|| format!("cannot use {}", path.display()))
     }
@@ -90,7 +90,7 @@ fn finished_frames(folder: &RunFolder) -> Vec<usize> {
 }
 
 /// A bar on the error stream, hidden when `quiet` or when it is no terminal.
-pub(crate) fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
+pub fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
     let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let bar = ProgressBar::with_draw_target(Some(count as u64), target).with_prefix(what);
     let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left");

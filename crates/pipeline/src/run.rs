@@ -313,7 +313,7 @@ impl<'a> Job<'a> {
     }
 }
 
-/// What `ffgs motion-eval` found does not hold for a run with one more frame.
+/// What `ffgs-lab motion-eval` found does not hold for a run with one more frame.
 fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
     let file = folder.motion_accuracy();
     if file.exists() {

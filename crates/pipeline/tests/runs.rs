@@ -1,10 +1,9 @@
 //! What a run says of its motion initialisation, on two frames of the sample with next to no training.
 
-use ffgs_pipeline::cli::{FrameRange, Init, LogArgs};
+use ffgs_pipeline::cli::{FrameRange, Init};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::motion_eval::{MotionEvalArgs, Places, motion_eval};
-use ffgs_pipeline::record::{FrameRecord, Metrics, RunFolder, read_json};
+use ffgs_pipeline::record::{FrameRecord, Metrics, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;
 use std::fs;
@@ -67,58 +66,4 @@ fn the_initialisation_is_graded_as_it_was_before_finetuning() {
         assert_eq!(metrics.mean.initial_mpsnr, Some(grade));
         assert!(report(out).contains("initialisation alone"));
     }
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir(to).unwrap();
-    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
-        let target = to.join(entry.file_name());
-        if entry.path().is_dir() {
-            copy(&entry.path(), &target);
-        } else {
-            fs::copy(entry.path(), target).unwrap();
-        }
-    }
-}
-
-/// Scores the second frame.
-fn score(capture: PathBuf, run: &Path) {
-    let args = MotionEvalArgs {
-        capture: Some(capture),
-        simulate: false,
-        run: Some(run.to_owned()),
-        places: Places::True,
-        frames: Some(FrameRange { start: 1, end: Some(2) }),
-        config: None,
-        json: None,
-        ablations: false,
-        per_frame: false,
-        log: LogArgs { quiet: true, ..LogArgs::default() },
-    };
-    motion_eval(&args).unwrap();
-}
-
-#[test]
-fn the_accuracy_of_the_motion_is_in_the_report_of_a_run_on_the_same_capture_until_a_frame_is_added() {
-    const PLOT: &str = "truth inside the ellipsoid";
-    let folder = TempDir::new().unwrap();
-    let (out, other) = (folder.path().join("run"), folder.path().join("other"));
-    run(&request(&out, 0)).unwrap();
-    let accuracy = RunFolder(out.clone()).motion_accuracy();
-    let before = report(&out);
-
-    copy(&sample(), &other);
-    score(other, &out);
-    assert!(!accuracy.exists() && report(&out) == before, "another capture");
-
-    score(sample().join("../fairmont-mini"), &out);
-    let found: Vec<ffgs_report::MotionAccuracy> = read_json(&accuracy).unwrap();
-    let fused = found.iter().find(|a| a.name == "fused").unwrap();
-    assert!(found.len() > 1 && fused.measured > 0.5 && fused.median_cm > 0.0);
-    assert!((fused.shares.iter().sum::<f64>() - 1.0).abs() < 1e-9);
-    assert!(!before.contains(PLOT) && report(&out).contains(PLOT));
-
-    let frames = Some(FrameRange { start: 0, end: Some(3) });
-    run(&RunRequest { resume: true, frames, ..request(&out, 0) }).unwrap();
-    assert!(!accuracy.exists() && !report(&out).contains(PLOT), "it was of the run before");
 }

@@ -1,9 +1,30 @@
-//! `ffgs motion-eval --ablations`: each departure from Algorithm 1 taken back alone, and each option tried alone.
+//! `ffgs-lab ablations`: each departure from Algorithm 1 taken back alone, and each option tried alone.
 
-use crate::config::Config;
+use crate::cells::Cell;
+use crate::evaluation::{Evaluation, SourceArgs, configuration};
+use crate::simulate;
+use anyhow::{Result, ensure};
+use clap::Args;
 use ffgs_fusion::{FusionConfig, PriorModel, ProcessNoise, Structure};
+use ffgs_motion_eval::{Row, summarise, table};
+use ffgs_pipeline::config::Config;
+use ffgs_pipeline::render::progress;
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{Method, SourceFilter};
+use std::path::PathBuf;
+
+/// `ffgs-lab ablations`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    after_help = "Examples:\n  ffgs-lab ablations fixtures/scenes/fairmont-mini --run out/mini\n  ffgs-lab ablations"
+)]
+pub struct AblationArgs {
+    /// Folder of the capture, with truth/ [default: simulated scenes]
+    pub capture: Option<PathBuf>,
+    /// What is moved.
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
 
 /// A name and what it changes in the configuration.
 pub type Ablation = (&'static str, fn(&mut Config));
@@ -46,6 +67,41 @@ pub const ABLATIONS: [Ablation; 26] = [
     }),
     ("cells of 128", |c| c.fusion.groups.cell = 128),
 ];
+
+/// Prints one line per change: the fused estimate of the bodies, or that of all simulated scenes.
+///
+/// # Errors
+/// When the capture, its truth or the configuration cannot be read.
+pub fn run(args: &AblationArgs) -> Result<()> {
+    let source = &args.source;
+    let simulated = args.capture.is_none();
+    ensure!(
+        !(simulated && (source.run.is_some() || source.frames.is_some())),
+        "--run and --frames need a capture"
+    );
+    let mut eval = args.capture.as_deref().map(|capture| Evaluation::open(capture, source)).transpose()?;
+    let bar = progress(source.log.quiet, "changes", ABLATIONS.len());
+    let mut rows = Vec::new();
+    for (name, change) in ABLATIONS {
+        let mut config = configuration(source.config.as_deref())?;
+        change(&mut config);
+        let cell = score(&config, eval.as_mut())?;
+        rows.push(Row { name: name.into(), candidates: cell.candidates, summary: summarise(&cell.samples) });
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    print!("{}", table(&rows));
+    Ok(())
+}
+
+fn score(config: &Config, eval: Option<&mut Evaluation>) -> Result<Cell> {
+    if let Some(eval) = eval {
+        eval.config = *config;
+        return eval.bodies();
+    }
+    let samples = simulate::all_samples(config)?;
+    Ok(Cell { candidates: samples.len(), samples, ..Cell::default() })
+}
 
 #[cfg(test)]
 mod tests {

@@ -1,13 +1,37 @@
-//! `ffgs motion-eval --simulate`: the same figures on simulated scenes, beside the seed's fusion.
+//! `ffgs-lab simulate`: the figures of `motion-eval` on simulated scenes, beside the literal Algorithm 1.
 
-use crate::config::Config;
+use crate::evaluation::configuration;
 use anyhow::Result;
+use clap::Args;
 use ffgs_core::Estimates;
 use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
-use ffgs_motion_eval::{Row, Sample, summarise};
+use ffgs_motion_eval::{Row, Sample, summarise, table};
+use ffgs_pipeline::cli::LogArgs;
+use ffgs_pipeline::config::Config;
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use glam::{DMat3, DVec3};
+use std::path::PathBuf;
+
+/// `ffgs-lab simulate`.
+#[derive(Clone, Debug, Args)]
+pub struct SimulateArgs {
+    /// Settings, as for `ffgs run`
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Scores and prints.
+///
+/// # Errors
+/// When the configuration cannot be read.
+pub fn run(args: &SimulateArgs) -> Result<()> {
+    print!("{}", table(&rows(&configuration(args.config.as_deref())?)?));
+    Ok(())
+}
 
 /// Errors of the fusion as configured over all scenarios, rigs and seeds.
 pub fn all_samples(config: &Config) -> Result<Vec<Sample>> {
@@ -27,7 +51,7 @@ const RIGS: [Rig; 3] = [Rig::Trackside, Rig::Ring, Rig::Dome];
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 
 /// Rows of every scenario and rig: the fusion as configured, and Algorithm 1 to the letter.
-pub fn rows(config: &Config) -> Result<Vec<Row>> {
+fn rows(config: &Config) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for scenario in Scenario::ALL {
         for rig in RIGS {

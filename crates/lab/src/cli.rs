@@ -1,0 +1,65 @@
+//! The command line of `ffgs-lab`.
+
+use crate::ablations::{self, AblationArgs};
+use crate::motion_eval::{self, MotionEvalArgs};
+use crate::simulate::{self, SimulateArgs};
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Experiments on the motion initialisation, for developers and papers.
+#[derive(Debug, Parser)]
+#[command(name = "ffgs-lab", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Score the motion initialisation against a capture's ground truth
+    MotionEval(MotionEvalArgs),
+    /// Score the fusion on simulated scenes
+    Simulate(SimulateArgs),
+    /// Score the configuration, Algorithm 1 to the letter, and every single change
+    Ablations(AblationArgs),
+}
+
+/// Runs the program on its command line. An error is printed with its causes.
+pub fn main() -> ExitCode {
+    match dispatch(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(command: Command) -> Result<()> {
+    match command {
+        Command::MotionEval(args) => {
+            args.source.log.start();
+            motion_eval::run(&args)
+        }
+        Command::Simulate(args) => {
+            args.log.start();
+            simulate::run(&args)
+        }
+        Command::Ablations(args) => {
+            args.source.log.start();
+            ablations::run(&args)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definitions_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

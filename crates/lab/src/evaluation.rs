@@ -1,0 +1,213 @@
+//! A capture with ground truth: each frame's motion initialisation from known places, scored.
+
+use crate::cells::{Cell, Cells, Scorer, merge};
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Args, ValueEnum};
+use ffgs_core::{DenseMotion, Gaussians};
+use ffgs_dataset::Capture;
+use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
+use ffgs_pipeline::cli::{FrameRange, Init, LogArgs};
+use ffgs_pipeline::config::Config;
+use ffgs_pipeline::frame::{TrainViews, load_training};
+use ffgs_pipeline::motion::{Dynamic, MotionInput, MotionOutcome, move_by, observe, positions};
+use ffgs_pipeline::record::RunFolder;
+use ffgs_pipeline::state;
+use ffgs_pipeline::turn::turned;
+use ffgs_report::StageSeconds;
+use ffgs_tracks::TrackStore;
+use ffgs_trainer::{TrainingView, from_points};
+use glam::{DAffine3, DMat3, DVec3};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Where the Gaussians are at the start of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Places {
+    /// Those of frame 0 moved by the truth
+    #[default]
+    True,
+    /// Those of the run's own frame before
+    Run,
+}
+
+/// What is moved, and how.
+#[derive(Clone, Debug, Default, Args)]
+pub struct SourceArgs {
+    /// A finished run whose Gaussians are moved
+    #[arg(long, value_name = "DIR")]
+    pub run: Option<PathBuf>,
+    /// Where the Gaussians are at the start of each frame
+    #[arg(long, value_enum, default_value_t)]
+    pub places: Places,
+    /// Frames A to B, B left out; a frame is scored against the one before it
+    #[arg(long, value_name = "A..B")]
+    pub frames: Option<FrameRange>,
+    /// Settings, as for `ffgs run`
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Errors of the pixels' flow (px), by tracker.
+pub type FlowErrors = BTreeMap<String, Vec<f64>>;
+
+/// A capture with ground truth, and the Gaussians whose motion is scored.
+pub struct Evaluation {
+    /// Settings of the motion initialisation.
+    pub config: Config,
+    /// The capture.
+    pub capture: Capture,
+    tracks: TrackStore,
+    views: TrainViews,
+    truth: Truth,
+    /// Frames that are scored.
+    pub frames: Range<usize>,
+    places: Places,
+    run: Option<RunFolder>,
+    /// Frame 0: the moving Gaussians, the rest.
+    start: (Gaussians, Gaussians),
+}
+
+impl Evaluation {
+    /// Opens the capture in `root`.
+    pub fn open(root: &Path, args: &SourceArgs) -> Result<Self> {
+        let config = configuration(args.config.as_deref())?;
+        let capture = Capture::open(root)?;
+        let tracks = TrackStore::open(root)?.context("the capture has no tracks/tracks.json")?;
+        let views = TrainViews::select(&capture, None)?;
+        let truth = Truth::read(root)?;
+        let count = capture.frames().min(truth.frames());
+        let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
+        ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");
+        let run = args.run.clone().map(RunFolder);
+        if args.places == Places::Run && run.is_none() {
+            bail!("--places run needs --run DIR");
+        }
+        let start = match &run {
+            Some(run) => {
+                let layers = state::load(&run.state(0)).context("--run: no state of frame 0")?;
+                (layers.dynamic.gaussians, layers.static_layer)
+            }
+            None => initial_points(&capture)?,
+        };
+        Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, start })
+    }
+
+    /// The fused estimate of the bodies over all frames.
+    pub fn bodies(&self) -> Result<Cell> {
+        let (mut all, mut steps) = (Cells::new(), Vec::new());
+        for frame in self.frames.clone() {
+            merge(&mut all, self.frame(frame, &mut steps, &mut FlowErrors::new())?.0);
+        }
+        Ok(all.remove("fused").and_then(|mut parts| parts.remove("bodies")).unwrap_or_default())
+    }
+
+    /// The layers at the start of a frame.
+    fn layers(&self, frame: usize) -> Result<(Gaussians, Gaussians)> {
+        if let (Places::Run, Some(run)) = (self.places, &self.run) {
+            let layers = state::load(&run.state(frame - 1))?;
+            return Ok((layers.dynamic.gaussians, layers.static_layer));
+        }
+        let (mut moving, fixed) = self.start.clone();
+        let parts = self.truth.parts_at(0, &positions(&moving))?;
+        for (i, part) in parts.iter().enumerate() {
+            if let Some(motion) = part.and_then(|p| self.truth.motion(p, 0, frame - 1)) {
+                carry(&mut moving, i, &motion);
+            }
+        }
+        Ok((moving, fixed))
+    }
+
+    /// Moves the Gaussians into `frame`. `steps` are those of the frame before (m), then of this one; empty before the
+    /// first.
+    pub fn frame(
+        &self,
+        frame: usize,
+        steps: &mut Vec<DVec3>,
+        flow: &mut FlowErrors,
+    ) -> Result<(Cells, StageSeconds)> {
+        let (moving, fixed) = self.layers(frame)?;
+        let before = load_training(&self.capture, &self.views, frame - 1)?;
+        let now = load_training(&self.capture, &self.views, frame)?;
+        let input = MotionInput {
+            config: &self.config,
+            init: &Init::Fused,
+            tracks: Some(&self.tracks),
+            views: &self.views,
+            before: &before,
+            now: &now,
+            frame,
+            static_layer: &fixed,
+            gpu: None,
+        };
+        let mut outcome = MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
+        let mut faults = Vec::new();
+        let mut inspect = |v: usize, fields: &[DenseMotion]| {
+            if let Err(error) = self.score_flow(frame, v, &before[v], fields, flow) {
+                faults.push(error);
+            }
+        };
+        let mut observations = observe(&input, &moving, &mut outcome, &mut inspect)?;
+        faults.into_iter().next().map_or(Ok(()), Err)?;
+        // The places are exact: the posterior is that of this frame's motion alone.
+        let covariances = vec![DMat3::ZERO; moving.len()];
+        let steps_before = std::mem::take(steps);
+        let mut dynamic =
+            Dynamic { gaussians: moving, covariances, steps: steps_before, ..Dynamic::default() };
+        let estimates = move_by(&input, &mut observations, &mut dynamic, &mut outcome)?;
+        steps.clone_from(&dynamic.steps);
+        let parts = self.truth.parts_at(frame - 1, &outcome.previous)?;
+        let scorer = Scorer { truth: &self.truth, frame, previous: &outcome.previous, parts: &parts };
+        let mut cells = Cells::new();
+        for (l, estimate) in estimates.iter().enumerate() {
+            cells.insert(format!("{} {}", l + 1, self.tracks.trackers()[l].name), scorer.tracker(estimate));
+        }
+        cells.insert("fused".into(), scorer.fused(&dynamic));
+        Ok((cells, outcome.seconds))
+    }
+
+    fn score_flow(
+        &self,
+        frame: usize,
+        view: usize,
+        before: &TrainingView,
+        fields: &[DenseMotion],
+        out: &mut FlowErrors,
+    ) -> Result<()> {
+        let camera = &self.views.selected[view].1;
+        let file = self.capture.root().join(format!("truth/flow/{camera}/{:06}.npz", frame - 1));
+        if let Some(truth) = TrueFlow::read(&file, before.camera.size())? {
+            for (tracker, field) in self.tracks.trackers().iter().zip(fields) {
+                flow_error(field, &truth, &before.mask, out.entry(tracker.name.clone()).or_default());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The capture's initial foreground points as opaque Gaussians, and nothing around them: gross errors among the
+/// background points would hide what moves.
+fn initial_points(capture: &Capture) -> Result<(Gaussians, Gaussians)> {
+    /// The points lie on the surfaces, so that nothing shines through them.
+    const OPACITY: f32 = 0.9;
+    let points = capture.initial_points()?;
+    let all = from_points(&points.positions, &points.colours, 0, OPACITY);
+    let moving: Vec<usize> = (0..all.len()).filter(|&i| points.foreground[i]).collect();
+    Ok((all.select(&moving), all.select(&[])))
+}
+
+/// Moves Gaussian `i` rigidly.
+fn carry(gaussians: &mut Gaussians, i: usize, motion: &DAffine3) {
+    let place = DVec3::from_array(gaussians.means[i].map(f64::from));
+    gaussians.means[i] = motion.transform_point3(place).as_vec3().to_array();
+    let rotation = glam::DQuat::from_mat3(&motion.matrix3);
+    gaussians.quats[i] = turned(rotation, gaussians.quats[i]);
+}
+
+/// The configuration in `file`, or the defaults.
+pub fn configuration(file: Option<&Path>) -> Result<Config> {
+    file.map_or_else(|| Ok(Config::default()), Config::read)
+}

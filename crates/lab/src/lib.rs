@@ -1,0 +1,9 @@
+//! Experiments on the motion initialisation, for developers and papers: what `ffgs-lab` runs. The product does not
+//! depend on any of this.
+
+pub mod ablations;
+mod cells;
+pub mod cli;
+pub mod evaluation;
+pub mod motion_eval;
+mod simulate;
