@@ -1,3 +1,4 @@
+use glam::DVec3;
 use thiserror::Error;
 
 /// Columns of a Gaussian set disagree in length, or a degree is out of range.
@@ -132,6 +133,11 @@ impl Gaussians {
         self.log_scales.extend_from_slice(&other.log_scales);
         self.opacity_logits.extend_from_slice(&other.opacity_logits);
         self.sh.extend_from_slice(&other.sh);
+    }
+
+    /// Positions in f64 (m).
+    pub fn positions(&self) -> Vec<DVec3> {
+        self.means.iter().map(|m| DVec3::from_array(m.map(f64::from))).collect()
     }
 
     /// Whether every parameter is finite.

@@ -1,8 +1,7 @@
 //! Errors of estimates by part of the scene.
 
-use ffgs_core::{EstimateStatus, Estimates};
+use ffgs_core::{Dynamic, EstimateStatus, Estimates};
 use ffgs_motion_eval::{Kind, Sample, Truth};
-use ffgs_pipeline::motion::{Dynamic, positions};
 use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
 
@@ -44,7 +43,7 @@ impl Scorer<'_> {
 
     /// Errors of the moved layer.
     pub fn fused(&self, dynamic: &Dynamic) -> BTreeMap<String, Cell> {
-        let means = positions(&dynamic.gaussians);
+        let means = dynamic.gaussians.positions();
         self.cells(|i| (Some((means[i], dynamic.covariances[i])), None))
     }
 

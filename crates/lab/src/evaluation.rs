@@ -3,19 +3,19 @@
 use crate::cells::{Cell, Cells, Scorer, merge};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
-use ffgs_core::{DenseMotion, Gaussians};
+use ffgs_core::{DenseMotion, Dynamic, Gaussians, TrainingView};
 use ffgs_dataset::Capture;
 use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
 use ffgs_pipeline::cli::{FrameRange, Init, LogArgs};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::frame::{TrainViews, load_training};
-use ffgs_pipeline::motion::{Dynamic, MotionInput, MotionOutcome, move_by, observe, positions};
+use ffgs_pipeline::motion::{MotionInput, MotionOutcome, move_by, observe};
 use ffgs_pipeline::record::RunFolder;
 use ffgs_pipeline::state;
 use ffgs_pipeline::turn::turned;
 use ffgs_report::StageSeconds;
 use ffgs_tracks::TrackStore;
-use ffgs_trainer::{TrainingView, from_points};
+use ffgs_trainer::from_points;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -88,8 +88,8 @@ impl Evaluation {
         }
         let start = match &run {
             Some(run) => {
-                let layers = state::load(&run.state(0)).context("--run: no state of frame 0")?;
-                (layers.dynamic.gaussians, layers.static_layer)
+                let scene = state::load(&run.state(0)).context("--run: no state of frame 0")?;
+                (scene.dynamic.gaussians, scene.static_layer)
             }
             None => initial_points(&capture)?,
         };
@@ -108,11 +108,11 @@ impl Evaluation {
     /// The layers at the start of a frame.
     fn layers(&self, frame: usize) -> Result<(Gaussians, Gaussians)> {
         if let (Places::Run, Some(run)) = (self.places, &self.run) {
-            let layers = state::load(&run.state(frame - 1))?;
-            return Ok((layers.dynamic.gaussians, layers.static_layer));
+            let scene = state::load(&run.state(frame - 1))?;
+            return Ok((scene.dynamic.gaussians, scene.static_layer));
         }
         let (mut moving, fixed) = self.start.clone();
-        let parts = self.truth.parts_at(0, &positions(&moving))?;
+        let parts = self.truth.parts_at(0, &moving.positions())?;
         for (i, part) in parts.iter().enumerate() {
             if let Some(motion) = part.and_then(|p| self.truth.motion(p, 0, frame - 1)) {
                 carry(&mut moving, i, &motion);
@@ -143,7 +143,7 @@ impl Evaluation {
             static_layer: &fixed,
             gpu: None,
         };
-        let mut outcome = MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
+        let mut outcome = MotionOutcome { previous: moving.positions(), ..MotionOutcome::default() };
         let mut faults = Vec::new();
         let mut inspect = |v: usize, fields: &[DenseMotion]| {
             if let Err(error) = self.score_flow(frame, v, &before[v], fields, flow) {

@@ -20,7 +20,7 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record: FrameRecord = read_json(&folder.record(frame))?;
-        record.views = score(capture, &run.layers(frame)?, frame, &folder.frame(frame), Lanes(&gpus))?;
+        record.views = score(capture, &run.scene(frame)?, frame, &folder.frame(frame), Lanes(&gpus))?;
         write_json(&folder.record(frame), &record)?;
         records.push(record);
         bar.inc(1);

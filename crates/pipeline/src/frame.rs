@@ -1,9 +1,8 @@
 //! One frame of a capture in memory: cameras, photographs and masks of the training views.
 
 use anyhow::Result;
-use ffgs_core::{Camera, Mask};
+use ffgs_core::{Camera, Mask, TrainingView};
 use ffgs_dataset::{Capture, Split};
-use ffgs_trainer::TrainingView;
 use rayon::prelude::*;
 
 /// Which training views a run uses, by index and name.

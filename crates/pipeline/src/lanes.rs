@@ -1,13 +1,13 @@
 //! Training and rendering on the device of a run: each function has a CPU and a GPU twin.
 
 use anyhow::Result;
-use ffgs_core::{Camera, Gaussians, PlanarImage};
+use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube, TrainingView};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::GpuRasterizer;
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Progress, SkyCube, SkyView,
-    StaticLane, StaticMethod, Surroundings, TrainingView,
+    BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Progress, SkyView, StaticLane,
+    StaticMethod, Surroundings,
 };
 
 /// Where lanes run: dealt over GPUs, dynamic, static, sky; none = the CPU. Everything else is done by the first.
@@ -157,7 +157,7 @@ impl<'a> Lanes<'a> {
 
 fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
     let mut picture = PlanarImage::zeros(camera.size());
-    sky.render(&SkyView::new(camera, sky.face_size()), &mut picture);
+    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
     picture
 }
 

@@ -3,12 +3,11 @@
 use crate::cli::RenderArgs;
 use crate::lanes::Lanes;
 use crate::manifest::Manifest;
-use crate::motion::positions;
 use crate::record::{FrameRecord, RunFolder, read_json};
-use crate::scoring::{Layers, render as render_layers, write_png};
+use crate::scoring::{render as render_scene, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Camera, ImageRgb8};
+use ffgs_core::{Camera, ImageRgb8, Scene};
 use ffgs_dataset::{Capture, Split};
 use glam::{DMat3, DMat4, DVec3};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -66,8 +65,8 @@ impl FinishedRun {
         self.frames.iter().map(|&frame| read_json(&self.folder.record(frame))).collect()
     }
 
-    /// Reads the layers of a frame.
-    pub fn layers(&self, frame: usize) -> Result<Layers> {
+    /// Reads the scene of a frame.
+    pub fn scene(&self, frame: usize) -> Result<Scene> {
         let path = self.folder.state(frame);
         state::load(&path).with_context(|| format!("cannot use {}", path.display()))
     }
@@ -102,14 +101,14 @@ pub fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
 pub fn render(args: &RenderArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frame = run.choose(args.frame)?;
-    let layers = run.layers(frame)?;
+    let scene = run.scene(frame)?;
     let stem = format!("orbit_{frame:06}");
     let views = match (&args.camera, args.orbit) {
         (Some(name), false) => {
             vec![(format!("{name}_{frame:06}.png"), named_camera(&run.capture, name, frame)?)]
         }
         (None, true) => {
-            let cameras = orbit(&run.capture, &layers, frame)?.into_iter().enumerate();
+            let cameras = orbit(&run.capture, &scene, frame)?.into_iter().enumerate();
             cameras.map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera)).collect()
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
@@ -119,7 +118,7 @@ pub fn render(args: &RenderArgs) -> Result<()> {
     let bar = progress(args.log.quiet, "views", views.len());
     for group in views.chunks(VIEWS_AT_ONCE) {
         let cameras: Vec<Camera> = group.iter().map(|(_, camera)| *camera).collect();
-        let pictures = render_layers(&layers, &cameras, Lanes(&gpus))?;
+        let pictures = render_scene(&scene, &cameras, Lanes(&gpus))?;
         for ((name, _), picture) in group.iter().zip(&pictures) {
             write_png(&out.join(name), &ImageRgb8::from(picture))?;
             bar.inc(1);
@@ -151,8 +150,8 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Cameras on a circle around one moving object.
-fn orbit(capture: &Capture, layers: &Layers, frame: usize) -> Result<Vec<Camera>> {
-    let moving = positions(&layers.dynamic.gaussians);
+fn orbit(capture: &Capture, scene: &Scene, frame: usize) -> Result<Vec<Camera>> {
+    let moving = scene.dynamic.gaussians.positions();
     if moving.is_empty() {
         bail!("frame {frame} has no moving Gaussian to circle; choose a --camera");
     }

@@ -7,20 +7,18 @@ use crate::device::{self, Device};
 use crate::frame::{TrainViews, cameras_and_masks, load_training, load_view};
 use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
-use crate::motion::{Dynamic, MotionInput, MotionOutcome, initialise, pixel_sizes, positions};
+use crate::motion::{MotionInput, MotionOutcome, initialise, pixel_sizes};
 use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
-use crate::scoring::{Layers, mean_mpsnr, score, write_png};
+use crate::scoring::{mean_mpsnr, score, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Gaussians, ImageRgb8, ImageSize, spatial_order};
+use ffgs_core::{Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, TrainingView, spatial_order};
 use ffgs_dataset::{Capture, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_tracks::TrackStore;
-use ffgs_trainer::{
-    FirstFrame, INITIAL_OPACITY, SkyCube, StaticLane, Surroundings, TrainingView, from_points,
-};
+use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -59,22 +57,22 @@ fn run_frames(job: &Job) -> Result<PathBuf> {
     let request = job.request;
     let mut console = Console::new(request.quiet, job.frames.clone());
     let mut records = Vec::new();
-    let mut layers: Option<Layers> = None;
+    let mut scene: Option<Scene> = None;
     let mut static_lane = StaticLane::default();
     for frame in job.frames.clone() {
         if request.resume && job.folder.state(frame).exists() {
             records.push(read_json(&job.folder.record(frame))?);
-            layers = Some(state::load(&job.folder.state(frame))?);
+            scene = Some(state::load(&job.folder.state(frame))?);
             continue;
         }
         console.begin_frame(frame);
-        let (next, record) = match layers.take() {
+        let (next, record) = match scene.take() {
             None => job.first_frame(frame, &mut console)?,
             Some(previous) => job.next_frame(frame, previous, &mut static_lane, &console)?,
         };
         console.end_frame(&record);
         records.push(record);
-        layers = Some(next);
+        scene = Some(next);
         job.publish(&records)?;
     }
     let metrics = job.publish(&records)?;
@@ -132,10 +130,10 @@ impl<'a> Job<'a> {
     }
 
     /// Frame 0: all layers together, then the split.
-    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Layers, FrameRecord)> {
+    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Scene, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let layers = if let Some(run) = &self.request.first_frame {
+        let scene = if let Some(run) = &self.request.first_frame {
             state::load(&RunFolder(run.clone()).state(frame))
                 .context("--first-frame: not a run of this capture")?
         } else {
@@ -151,7 +149,7 @@ impl<'a> Job<'a> {
             self.split(&trained.gaussians, trained.sky, &views, &training)?
         };
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
-        self.finish(frame, layers, record)
+        self.finish(frame, scene, record)
     }
 
     fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
@@ -174,10 +172,10 @@ impl<'a> Job<'a> {
         sky: SkyCube,
         views: &[TrainingView],
         training: &[TrainingView],
-    ) -> Result<Layers> {
+    ) -> Result<Scene> {
         let (cameras, masks) = cameras_and_masks(training);
         let marking = self.config().marking;
-        let moving = dynamic_split(&positions(all), &cameras, &masks, marking.dilation, marking.slack)?;
+        let moving = dynamic_split(&all.positions(), &cameras, &masks, marking.dilation, marking.slack)?;
         // Training left what it added at the end; all later frames keep this order.
         let order = spatial_order(&all.means);
         let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
@@ -185,22 +183,22 @@ impl<'a> Job<'a> {
         if gaussians.is_empty() {
             tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");
         }
-        let pixel_m = pixel_sizes(&positions(&gaussians), views);
+        let pixel_m = pixel_sizes(&gaussians.positions(), views);
         let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
         let axes = gaussians.log_scales.iter().map(smallest);
         let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
         let dynamic = Dynamic { gaussians, covariances, ..Dynamic::default() };
-        Ok(Layers { static_layer: all.select(&indices(false)), dynamic, sky })
+        Ok(Scene { static_layer: all.select(&indices(false)), dynamic, sky })
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
     fn next_frame(
         &self,
         frame: usize,
-        mut layers: Layers,
+        mut scene: Scene,
         static_lane: &mut StaticLane,
         console: &Console,
-    ) -> Result<(Layers, FrameRecord)> {
+    ) -> Result<(Scene, FrameRecord)> {
         let start = Instant::now();
         let before = load_training(&self.capture, &self.views, frame - 1)?;
         let now = load_training(&self.capture, &self.views, frame)?;
@@ -213,28 +211,28 @@ impl<'a> Job<'a> {
             before: &before,
             now: &now,
             frame,
-            static_layer: &layers.static_layer,
+            static_layer: &scene.static_layer,
             gpu: self.gpus.first(),
         };
-        let motion = initialise(&input, &mut layers.dynamic)?;
+        let motion = initialise(&input, &mut scene.dynamic)?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         record.seconds = motion.seconds;
         record.seconds.load = Some(loading + motion.seconds.load.unwrap_or(0.0));
         record.skips.clone_from(&motion.skips);
         record.warnings.clone_from(&motion.warnings);
-        self.write_pictures(frame, &layers.dynamic, &motion, &now)?;
-        let initialised = layers.clone();
-        self.finetune(frame, &mut layers, static_lane, &now, console, &mut record)?;
+        self.write_pictures(frame, &scene.dynamic, &motion, &now)?;
+        let initialised = scene.clone();
+        self.finetune(frame, &mut scene, static_lane, &now, console, &mut record)?;
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         record.initial_mpsnr = mean_mpsnr(&self.capture, &initialised, frame, self.lanes())?;
-        self.finish(frame, layers, record)
+        self.finish(frame, scene, record)
     }
 
     /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
     fn finetune(
         &self,
         frame: usize,
-        layers: &mut Layers,
+        scene: &mut Scene,
         static_lane: &mut StaticLane,
         views: &[TrainingView],
         console: &Console,
@@ -242,9 +240,9 @@ impl<'a> Job<'a> {
     ) -> Result<()> {
         let (config, lanes) = (self.config(), self.lanes());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
-        let (static_start, sky_start) = (layers.static_layer.clone(), layers.sky.clone());
+        let (static_start, sky_start) = (scene.static_layer.clone(), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start };
-        let Layers { static_layer, dynamic, sky } = layers;
+        let Scene { static_layer, dynamic, sky } = scene;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
         let static_bar = console.lane("static", config.background.static_passes());
         let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
@@ -285,7 +283,7 @@ impl<'a> Job<'a> {
             return Ok(());
         };
         let (camera, image): (_, &ImageRgb8) = (&best.camera, &best.image);
-        let now = positions(&dynamic.gaussians);
+        let now = dynamic.gaussians.positions();
         let folder = self.folder.frame(frame);
         write_png(&folder.join("motion.png"), &motion_picture(camera, &motion.previous, &now, image)?)?;
         let uncertainty = uncertainty_picture(camera, &now, &dynamic.covariances, image)?;
@@ -293,23 +291,23 @@ impl<'a> Job<'a> {
     }
 
     /// Writes everything of a frame; the state comes last and marks the frame as finished.
-    fn finish(&self, frame: usize, layers: Layers, mut record: FrameRecord) -> Result<(Layers, FrameRecord)> {
+    fn finish(&self, frame: usize, scene: Scene, mut record: FrameRecord) -> Result<(Scene, FrameRecord)> {
         let folder = self.folder.frame(frame);
         let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
-        ffgs_splats::write_ply(&static_ply, &layers.static_layer, None)?;
-        ffgs_splats::write_ply(&dynamic_ply, &layers.dynamic.gaussians, Some(&layers.dynamic.covariances))?;
-        let texels = layers.sky.texels.as_flattened();
-        ffgs_splats::write_sky_cross(&folder.join("sky.png"), layers.sky.face_size(), texels)?;
-        record.views = score(&self.capture, &layers, frame, &folder, self.lanes())?;
-        record.static_gaussians = layers.static_layer.len();
-        record.dynamic_gaussians = layers.dynamic.gaussians.len();
+        ffgs_splats::write_ply(&static_ply, &scene.static_layer, None)?;
+        ffgs_splats::write_ply(&dynamic_ply, &scene.dynamic.gaussians, Some(&scene.dynamic.covariances))?;
+        let texels = scene.sky.texels.as_flattened();
+        ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
+        record.views = score(&self.capture, &scene, frame, &folder, self.lanes())?;
+        record.static_gaussians = scene.static_layer.len();
+        record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
         record.peak_memory_mib = crate::memory::peak_mib();
         record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
-        state::save(&self.folder.state(frame), frame, &layers)?;
+        state::save(&self.folder.state(frame), frame, &scene)?;
         forget_motion_accuracy(&self.folder)?;
-        Ok((layers, record))
+        Ok((scene, record))
     }
 }
 

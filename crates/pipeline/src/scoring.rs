@@ -1,35 +1,16 @@
 //! Renders the test views of a frame and measures them.
 
 use crate::lanes::Lanes;
-use crate::motion::Dynamic;
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
-use ffgs_core::{Camera, Gaussians, ImageRgb8, PlanarImage, write_atomically};
+use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_dataset::{Capture, Split};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
-use ffgs_trainer::{SkyCube, TrainingView};
 use std::path::Path;
 
-/// The three layers of one frame.
-#[derive(Clone, Debug)]
-pub struct Layers {
-    /// Modelled once; only its colour changes.
-    pub static_layer: Gaussians,
-    /// Moves every frame.
-    pub dynamic: Dynamic,
-    /// At infinity.
-    pub sky: SkyCube,
-}
-
 /// Depth-sorted renders of all layers over the sky.
-pub(crate) fn render(layers: &Layers, cameras: &[Camera], lanes: Lanes) -> Result<Vec<PlanarImage>> {
-    lanes.render(&joint(layers), &layers.sky, cameras)
-}
-
-fn joint(layers: &Layers) -> Gaussians {
-    let mut joint = layers.static_layer.clone();
-    joint.extend(&layers.dynamic.gaussians);
-    joint
+pub(crate) fn render(scene: &Scene, cameras: &[Camera], lanes: Lanes) -> Result<Vec<PlanarImage>> {
+    lanes.render(&scene.joint(), &scene.sky, cameras)
 }
 
 /// Writes a PNG through a temporary file.
@@ -65,7 +46,7 @@ fn load_tests(capture: &Capture, frame: usize) -> Result<Vec<TrainingView>> {
 /// Mean foreground PSNR (dB) over the test views of `frame`, without pictures; `None` where nothing is in the foreground.
 pub(crate) fn mean_mpsnr(
     capture: &Capture,
-    layers: &Layers,
+    scene: &Scene,
     frame: usize,
     lanes: Lanes,
 ) -> Result<Option<f64>> {
@@ -73,7 +54,7 @@ pub(crate) fn mean_mpsnr(
     truths.retain(|truth| truth.mask.count() > 0);
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
     let mut values = Vec::new();
-    for (truth, rendered) in truths.iter().zip(render(layers, &cameras, lanes)?) {
+    for (truth, rendered) in truths.iter().zip(render(scene, &cameras, lanes)?) {
         values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
     }
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
@@ -82,7 +63,7 @@ pub(crate) fn mean_mpsnr(
 /// Renders every test view of `frame` into `folder/test/CAMERA.png` and measures it.
 pub(crate) fn score(
     capture: &Capture,
-    layers: &Layers,
+    scene: &Scene,
     frame: usize,
     folder: &Path,
     lanes: Lanes,
@@ -90,7 +71,7 @@ pub(crate) fn score(
     let views = capture.views(Split::Test);
     let truths = load_tests(capture, frame)?;
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
-    let pictures = render(layers, &cameras, lanes)?;
+    let pictures = render(scene, &cameras, lanes)?;
     let mut all = Vec::new();
     for (v, ((view, truth), rendered)) in views.iter().zip(&truths).zip(pictures).enumerate() {
         write_png(&folder.join(format!("test/{}.png", view.name)), &ImageRgb8::from(&rendered))?;

@@ -6,13 +6,11 @@ use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::{Workspace, largest_view, shared_layers};
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Gpu, GpuError, Groups};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
-use ffgs_trainer::{
-    BackgroundConfig, Epochs, LearningRates, Progress, SkyCube, TrainingView, background_region,
-};
+use ffgs_trainer::{BackgroundConfig, Epochs, LearningRates, Progress, background_region};
 
 const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None };
 

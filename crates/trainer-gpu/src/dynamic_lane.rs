@@ -5,13 +5,11 @@ use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::Workspace;
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, TrainingView};
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TileMask};
 use ffgs_rasterizer_gpu::{GpuScene, backward, deal, prepare, render, render_split, tile_depths};
-use ffgs_trainer::{
-    DynamicLaneConfig, Epochs, Progress, Surroundings, TILE_DILATION, TrainingView, robust_extent,
-};
+use ffgs_trainer::{DynamicLaneConfig, Epochs, Progress, Surroundings, TILE_DILATION, robust_extent};
 
 const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None };
 

@@ -4,12 +4,13 @@ use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::{Workspace, largest_view, shared_layers};
+use ffgs_core::TrainingView;
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
 use ffgs_trainer::{
-    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, TrainingView,
-    decay, density_config, reset_opacities,
+    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, decay,
+    density_config, reset_opacities,
 };
 
 /// Trains frame 0 from `start`, as [`ffgs_trainer::train_first_frame`] does.

@@ -1,9 +1,9 @@
 use crate::kernels;
 use crate::layout::SkyUniform;
 use crate::target::Target;
+use ffgs_core::SkyCube;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::Scratch;
-use ffgs_trainer::SkyCube;
 
 /// One unit of a pixel's derivative in the whole numbers that are summed: a sum holds 2^13 pixels.
 const UNIT: f32 = 262_144.0;

@@ -5,13 +5,15 @@ use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::Workspace;
 use crate::{train_dynamic, train_first_frame, train_sky, train_static};
-use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
+use ffgs_core::{
+    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
+};
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::Ledger;
 use ffgs_trainer::{
     Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, IndexMap, LearningRates,
-    LossRegion, PhotometricLoss, SkyCube, SkyView, StaticMethod, Surroundings, TrainingView, Update,
+    LossRegion, PhotometricLoss, SkyView, StaticMethod, Surroundings, Update,
 };
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -55,7 +57,7 @@ fn perturbed(g: &Gaussians, seed: u64) -> Gaussians {
 
 fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
     let mut behind = PlanarImage::zeros(SIZE);
-    sky.render(&SkyView::new(camera, sky.face_size()), &mut behind);
+    SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
     let mut tape = RenderTape::default();
     CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(g, &view, &mut tape);

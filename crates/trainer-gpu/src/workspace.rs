@@ -1,10 +1,11 @@
 use crate::kernels;
 use crate::optimiser::Optimiser;
 use crate::target::Target;
+use ffgs_core::TrainingView;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TILE};
 use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_A_SUBMISSION, deal, prepare};
-use ffgs_trainer::{Progress, TrainingView};
+use ffgs_trainer::Progress;
 
 /// Steps between two looks at the running loss.
 const REPORT_EVERY: usize = 64;

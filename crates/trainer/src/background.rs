@@ -1,9 +1,8 @@
 //! What the static lane and the sky lane share. Both look only at pixels outside the dilated foreground mask, so that
 //! they need nothing from the dynamic lane of the same frame.
 
-use crate::view::TrainingView;
-use crate::{LearningRates, SkyCube, SkyView};
-use ffgs_core::{Camera, ImageSize, Mask, PlanarImage};
+use crate::{LearningRates, SkyView};
+use ffgs_core::{Camera, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use serde::{Deserialize, Serialize};
 
 /// How the static lane finds its colours.
@@ -111,7 +110,7 @@ impl SkyBehind {
     pub(crate) fn render(&mut self, sky: &SkyCube, camera: &Camera) -> &PlanarImage {
         let view = self.view.get_or_insert_with(|| SkyView::new(camera, sky.face_size()));
         view.aim(camera);
-        sky.render(view, &mut self.image);
+        view.render(sky, &mut self.image);
         &self.image
     }
 }

@@ -6,9 +6,9 @@
 
 use crate::background::SkyBehind;
 use crate::schedule::{Epochs, decay};
-use crate::view::{Progress, Running, TrainingView};
-use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, SkyCube, Update};
-use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
+use crate::view::{Progress, Running};
+use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
+use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, SplitLayers, TileDepths, TileMask, View,

@@ -2,11 +2,9 @@
 
 use crate::densify::{DensityConfig, DensityControl, ViewStatistics, reset_opacities};
 use crate::schedule::{Epochs, decay};
-use crate::view::{Progress, Running, TrainingView};
-use crate::{
-    Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyCube, SkyView, TexelGradients, Update,
-};
-use ffgs_core::{Gaussians, ImageSize, PlanarImage};
+use crate::view::{Progress, Running};
+use crate::{Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyView, TexelGradients, Update};
+use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, View,
@@ -164,7 +162,7 @@ impl<'a> Training<'a> {
         let face_size = self.sky.face_size();
         let sky_view = self.sky_view.get_or_insert_with(|| SkyView::new(&view.camera, face_size));
         sky_view.aim(&view.camera);
-        self.sky.render(sky_view, &mut self.background);
+        sky_view.render(&self.sky, &mut self.background);
         let frame =
             View { camera: &view.camera, background: Background::Image(&self.background), tiles: None };
         rasterizer.render(&self.gaussians, &frame, &mut self.tape);

@@ -24,7 +24,7 @@ pub use first_frame::{FirstFrame, FirstFrameConfig, density_config, train_first_
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};
 pub use schedule::{Epochs, decay};
-pub use sky::{SkyCube, SkyObservation, SkyView, TexelGradients};
+pub use sky::{SkyView, TexelGradients};
 pub use sky_lane::train_sky;
 pub use static_lane::StaticLane;
-pub use view::{Progress, TrainingView};
+pub use view::Progress;

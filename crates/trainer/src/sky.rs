@@ -1,160 +1,15 @@
-//! The sky: a cube map at infinity, bilinear, optimised through the transmittance that the Gaussians leave.
+//! What a camera sees of the sky cube, bilinear, and the gradient by its texels.
 //!
-//! Faces in the order +x, -x, +y, -y, +z, -z of the world with OpenGL's orientation. Bilinear weights are clamped at
-//! the edge of a face: colour is constant over the outer half texel, and no texel is shared by two faces.
+//! Bilinear weights are clamped at the edge of a face: colour is constant over the outer half texel, and no texel is
+//! shared by two faces.
 
 use crate::simd::{Kernel, dispatch};
-use ffgs_core::{Camera, ImageRgb8, ImageSize, PlanarImage};
+use ffgs_core::{Camera, ImageSize, PlanarImage, SkyCube};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Colour of texels of which nothing is known.
-const GREY: [f32; 3] = [0.5; 3];
 /// Pixels of one parallel task.
 const CHUNK: usize = 4096;
-
-/// A cube map.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SkyCube {
-    face_size: usize,
-    /// RGB of the texels, face by face, row by row: (6 * face_size * face_size). Values are not clamped.
-    pub texels: Vec<[f32; 3]>,
-}
-
-/// What one view shows of the sky, to initialise it from.
-#[derive(Clone, Copy, Debug)]
-pub struct SkyObservation<'a> {
-    /// Texels that each pixel sees.
-    pub view: &'a SkyView,
-    /// The photograph.
-    pub image: &'a ImageRgb8,
-    /// Transmittance the Gaussians leave, (H * W).
-    pub transmittance: &'a [f32],
-}
-
-impl SkyCube {
-    /// A cube of one colour; `face_size` at least 1.
-    pub fn filled(face_size: usize, colour: [f32; 3]) -> Self {
-        assert!(face_size >= 1, "empty sky faces");
-        Self { face_size, texels: vec![colour; 6 * face_size * face_size] }
-    }
-
-    /// Texels along the edge of a face.
-    pub fn face_size(&self) -> usize {
-        self.face_size
-    }
-
-    /// Average of the pixels with at least `min_transmittance`; where there are none, a colour linear in the height
-    /// above the horizon, fitted to the texels that were seen (`up`: the world's up direction, unit).
-    pub fn from_observations(
-        face_size: usize,
-        up: [f32; 3],
-        min_transmittance: f32,
-        observations: &[SkyObservation],
-    ) -> Self {
-        let mut sums = vec![[0.0f64; 4]; 6 * face_size * face_size];
-        for observation in observations {
-            accumulate(&mut sums, observation, min_transmittance);
-        }
-        let mut cube = Self::filled(face_size, GREY);
-        let height = |texel| Vec3::from(up).dot(texel_direction(face_size, texel)).into();
-        let fit = VerticalFit::new(&sums, height);
-        for (texel, (out, sum)) in cube.texels.iter_mut().zip(&sums).enumerate() {
-            *out = mean_colour(sum).unwrap_or_else(|| fit.colour(height(texel))).map(|v| v as f32);
-        }
-        cube
-    }
-
-    /// Draws what `view` sees.
-    ///
-    /// # Panics
-    /// When `view` was made for another face size.
-    pub fn render(&self, view: &SkyView, out: &mut PlanarImage) {
-        assert_eq!(view.face_size, self.face_size, "face size");
-        if out.size() != view.size {
-            out.reset(view.size);
-        }
-        let (red, rest) = out.data_mut().split_at_mut(view.size.pixels());
-        let (green, blue) = rest.split_at_mut(view.size.pixels());
-        red.par_chunks_mut(CHUNK)
-            .zip(green.par_chunks_mut(CHUNK))
-            .zip(blue.par_chunks_mut(CHUNK))
-            .zip(view.samples.par_chunks(CHUNK))
-            .for_each(|(((red, green), blue), samples)| {
-                for (i, sample) in samples.iter().enumerate() {
-                    [red[i], green[i], blue[i]] = self.colour(sample);
-                }
-            });
-    }
-
-    fn colour(&self, sample: &Sample) -> [f32; 3] {
-        let mut sum = Vec3::ZERO;
-        for (texel, weight) in sample.shares(self.face_size) {
-            sum += weight * Vec3::from(self.texels[texel]);
-        }
-        sum.to_array()
-    }
-
-    /// The six faces as 8-bit images, clamped to 0..=1.
-    pub fn to_faces_rgb8(&self) -> [ImageRgb8; 6] {
-        let size = ImageSize { width: self.face_size, height: self.face_size };
-        std::array::from_fn(|face| {
-            let texels = &self.texels[face * size.pixels()..(face + 1) * size.pixels()];
-            let quantise = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-            let data = texels.as_flattened().iter().map(quantise).collect();
-            ImageRgb8::new(size, data).expect("three bytes a texel")
-        })
-    }
-}
-
-fn accumulate(sums: &mut [[f64; 4]], observation: &SkyObservation, min_transmittance: f32) {
-    for (i, sample) in observation.view.samples.iter().enumerate() {
-        let open = observation.transmittance[i] >= min_transmittance;
-        if !open {
-            continue;
-        }
-        let [r, g, b] = observation.image.pixel(i).map(f64::from);
-        for (texel, weight) in sample.shares(observation.view.face_size) {
-            let weight = f64::from(weight);
-            let sum = &mut sums[texel];
-            sum.iter_mut().zip([r, g, b, 1.0]).for_each(|(s, v)| *s += weight * v);
-        }
-    }
-}
-
-/// Mean of a sum (r, g, b, weight); `None` below a weight that carries a colour.
-fn mean_colour(sum: &[f64; 4]) -> Option<[f64; 3]> {
-    const MIN_WEIGHT: f64 = 1e-3;
-    (sum[3] > MIN_WEIGHT).then(|| [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3]])
-}
-
-/// Colour as a linear function of height, least squares over the texels that were seen.
-struct VerticalFit {
-    mean_height: f64,
-    mean: [f64; 3],
-    slope: [f64; 3],
-}
-
-impl VerticalFit {
-    fn new(sums: &[[f64; 4]], height: impl Fn(usize) -> f64) -> Self {
-        let seen = || sums.iter().enumerate().filter_map(|(i, s)| Some((height(i), mean_colour(s)?)));
-        let count = seen().count() as f64;
-        if count == 0.0 {
-            return Self { mean_height: 0.0, mean: GREY.map(f64::from), slope: [0.0; 3] };
-        }
-        let mean_height = seen().map(|(h, _)| h).sum::<f64>() / count;
-        let mean = [0, 1, 2].map(|c| seen().map(|(_, colour)| colour[c]).sum::<f64>() / count);
-        let spread: f64 = seen().map(|(h, _)| (h - mean_height).powi(2)).sum();
-        let covariance =
-            |c: usize| seen().map(|(h, colour)| (h - mean_height) * (colour[c] - mean[c])).sum::<f64>();
-        let slope = [0, 1, 2].map(|c| if spread > 1e-6 * count { covariance(c) / spread } else { 0.0 });
-        Self { mean_height, mean, slope }
-    }
-
-    fn colour(&self, height: f64) -> [f64; 3] {
-        [0, 1, 2].map(|c| (self.mean[c] + self.slope[c] * (height - self.mean_height)).clamp(0.0, 1.0))
-    }
-}
 
 /// Where a pixel's ray meets the cube: the first of four neighbouring texels, and how far the ray lies beyond its centre.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -165,6 +20,14 @@ struct Sample {
 }
 
 impl Sample {
+    fn colour(&self, cube: &SkyCube) -> [f32; 3] {
+        let mut sum = Vec3::ZERO;
+        for (texel, weight) in self.shares(cube.face_size()) {
+            sum += weight * Vec3::from(cube.texels[texel]);
+        }
+        sum.to_array()
+    }
+
     /// The four texels and their weights, which sum to 1.
     #[inline(always)]
     fn shares(&self, face_size: usize) -> [(usize, f32); 4] {
@@ -245,8 +108,30 @@ impl SkyView {
         self.size
     }
 
+    /// Draws what the camera sees of `cube`.
+    ///
+    /// # Panics
+    /// When this was made for another face size.
+    pub fn render(&self, cube: &SkyCube, out: &mut PlanarImage) {
+        assert_eq!(self.face_size, cube.face_size(), "face size");
+        if out.size() != self.size {
+            out.reset(self.size);
+        }
+        let (red, rest) = out.data_mut().split_at_mut(self.size.pixels());
+        let (green, blue) = rest.split_at_mut(self.size.pixels());
+        red.par_chunks_mut(CHUNK)
+            .zip(green.par_chunks_mut(CHUNK))
+            .zip(blue.par_chunks_mut(CHUNK))
+            .zip(self.samples.par_chunks(CHUNK))
+            .for_each(|(((red, green), blue), samples)| {
+                for (i, sample) in samples.iter().enumerate() {
+                    [red[i], green[i], blue[i]] = sample.colour(cube);
+                }
+            });
+    }
+
     /// Adds the gradient by the texels to `out` (of 6 * `face_size`^2 texels), given the gradient by the pixels of
-    /// [`SkyCube::render`] (that by the composite times the transmittance). Serial, so that the order of sums is fixed.
+    /// [`SkyView::render`] (that by the composite times the transmittance). Serial, so that the order of sums is fixed.
     ///
     /// # Panics
     /// When a size does not match.
@@ -343,21 +228,6 @@ fn face_coordinates(d: Vec3) -> (f32, f32, f32) {
     (face, pick(-d.z * sign, d.x, d.x * sign) * inverse, pick(-d.y, d.z * sign, -d.y) * inverse)
 }
 
-/// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
-fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
-    let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
-    let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
-    let direction = match texel / (face_size * face_size) {
-        0 => Vec3::new(1.0, -t, -s),
-        1 => Vec3::new(-1.0, -t, s),
-        2 => Vec3::new(s, 1.0, t),
-        3 => Vec3::new(s, -1.0, -t),
-        4 => Vec3::new(s, -t, 1.0),
-        _ => Vec3::new(-s, -t, -1.0),
-    };
-    direction.normalize()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -376,13 +246,28 @@ mod tests {
         angles.map(|(yaw, pitch)| camera(yaw, pitch)).to_vec()
     }
 
+    /// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
+    fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
+        let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
+        let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
+        let direction = match texel / (face_size * face_size) {
+            0 => Vec3::new(1.0, -t, -s),
+            1 => Vec3::new(-1.0, -t, s),
+            2 => Vec3::new(s, 1.0, t),
+            3 => Vec3::new(s, -1.0, -t),
+            4 => Vec3::new(s, -t, 1.0),
+            _ => Vec3::new(-s, -t, -1.0),
+        };
+        direction.normalize()
+    }
+
     /// A smooth colour in 0.2..0.8.
     fn colour(d: Vec3) -> [f32; 3] {
         (0.5 + 0.3 * d).to_array()
     }
 
     fn painted(face_size: usize) -> SkyCube {
-        let mut cube = SkyCube::filled(face_size, GREY);
+        let mut cube = SkyCube::filled(face_size, [0.5; 3]);
         for (i, texel) in cube.texels.iter_mut().enumerate() {
             *texel = colour(texel_direction(face_size, i));
         }
@@ -394,7 +279,7 @@ mod tests {
         let cube = painted(64);
         let mut image = PlanarImage::zeros(SIZE);
         for camera in cameras() {
-            cube.render(&SkyView::new(&camera, 64), &mut image);
+            SkyView::new(&camera, 64).render(&cube, &mut image);
             for i in 0..SIZE.pixels() {
                 let centre = DVec2::new((i % 48) as f64 + 0.5, (i / 48) as f64 + 0.5);
                 let want = colour(camera.ray(centre).as_vec3());
@@ -415,7 +300,7 @@ mod tests {
         view.backward(&weights, &mut gradient);
         let mut image = PlanarImage::zeros(SIZE);
         let mut objective = |cube: &SkyCube| -> f64 {
-            cube.render(&view, &mut image);
+            view.render(cube, &mut image);
             image.data().iter().zip(weights.data()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
         for t in (0..cube.texels.len()).step_by(7) {
@@ -428,39 +313,5 @@ mod tests {
         }
         gradient.clear();
         assert_eq!(gradient, TexelGradients::new(cube.texels.len()));
-    }
-
-    #[test]
-    fn initialisation_averages_what_is_seen_and_extends_it_by_height() {
-        let truth = |height: f32| [0.5 + 0.3 * height, 0.4, 0.6 - 0.2 * height];
-        let camera = camera(0.0, 0.3);
-        let view = SkyView::new(&camera, 16);
-        let mut image = PlanarImage::zeros(SIZE);
-        for i in 0..SIZE.pixels() {
-            let ray = camera.ray(DVec2::new((i % 48) as f64 + 0.5, (i / 48) as f64 + 0.5));
-            image.set_pixel(i, truth(-ray.y as f32));
-        }
-        let image = ImageRgb8::from(&image);
-        let mut transmittance = vec![1.0; SIZE.pixels()];
-        transmittance[..SIZE.width].fill(f32::NAN);
-        let observation = SkyObservation { view: &view, image: &image, transmittance: &transmittance };
-        let cube = SkyCube::from_observations(16, [0.0, -1.0, 0.0], 0.9, &[observation]);
-        for (t, texel) in cube.texels.iter().enumerate() {
-            let want = truth(-texel_direction(16, t).y);
-            assert!(
-                (Vec3::from(*texel) - Vec3::from(want)).abs().max_element() < 0.06,
-                "{t}: {texel:?} {want:?}"
-            );
-        }
-        assert_eq!(SkyCube::from_observations(2, [0.0, 0.0, 1.0], 0.9, &[]).texels, vec![GREY; 24]);
-    }
-
-    #[test]
-    fn faces_are_clamped() {
-        let mut cube = SkyCube::filled(2, [1.5, -1.0, 0.5]);
-        cube.texels[4] = [0.0; 3];
-        let faces = cube.to_faces_rgb8();
-        assert_eq!(faces[0].data()[..3], [255, 0, 128]);
-        assert_eq!(faces[1].data()[..3], [0, 0, 0]);
     }
 }

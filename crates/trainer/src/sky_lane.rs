@@ -2,9 +2,8 @@
 
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
-use crate::view::TrainingView;
-use crate::{AdamVec, SkyCube, SkyView, TexelGradients, Update};
-use ffgs_core::{Gaussians, ImageSize, PlanarImage};
+use crate::{AdamVec, SkyView, TexelGradients, Update};
+use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 
 /// Finetunes the sky through the transmittance that `layer` leaves; the layer is rendered once a view.
@@ -31,7 +30,7 @@ pub fn train_sky(
         let Some(index) = epochs.draw() else { return };
         let target = &cached[index];
         aimed.aim(&views[index].camera);
-        sky.render(&aimed, &mut rendered);
+        aimed.render(sky, &mut rendered);
         target.residual(&mut rendered);
         gradient.clear();
         aimed.backward(&rendered, &mut gradient);

@@ -1,15 +1,4 @@
-use ffgs_core::{Camera, ImageRgb8, Mask};
-
-/// One training photograph of a frame.
-#[derive(Clone, Debug)]
-pub struct TrainingView {
-    /// Camera of this frame.
-    pub camera: Camera,
-    /// The photograph, of the camera's size.
-    pub image: ImageRgb8,
-    /// Foreground mask; all background where the capture has none.
-    pub mask: Mask,
-}
+//! How far a training loop has come.
 
 /// What a training loop reports after a step.
 #[derive(Clone, Copy, Debug)]

@@ -1,11 +1,10 @@
 //! Lines 25 to 34.
 
-use super::{Dynamic, MotionInput, MotionOutcome, add_seconds};
+use super::{MotionInput, MotionOutcome, add_seconds};
 use crate::turn::turn;
 use anyhow::Result;
-use ffgs_core::{Camera, Estimates};
+use ffgs_core::{Camera, Dynamic, Estimates, TrainingView};
 use ffgs_fusion::{Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
-use ffgs_trainer::TrainingView;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;

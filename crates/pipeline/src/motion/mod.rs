@@ -16,35 +16,13 @@ use crate::cli::Init;
 use crate::config::Config;
 use crate::frame::TrainViews;
 use anyhow::Result;
-use ffgs_core::{Camera, Estimates, Gaussians, Observations};
+use ffgs_core::{Camera, Dynamic, Estimates, Gaussians, Observations, TrainingView};
 use ffgs_gpu::Gpu;
 use ffgs_report::StageSeconds;
 use ffgs_tracks::TrackStore;
-use ffgs_trainer::TrainingView;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use std::collections::BTreeMap;
 use std::time::Instant;
-
-/// The moving layer and how sure its positions are.
-#[derive(Clone, Debug, Default)]
-pub struct Dynamic {
-    /// The Gaussians.
-    pub gaussians: Gaussians,
-    /// Position covariances (m^2).
-    pub covariances: Vec<DMat3>,
-    /// Process noise of the last fused frame (m).
-    pub q: f64,
-    /// Steps of the last initialisation (m); empty before the first.
-    pub steps: Vec<DVec3>,
-}
-
-impl Dynamic {
-    /// The last steps (m), if there are any.
-    fn known_steps(&self) -> Option<&[DVec3]> {
-        let known = !self.steps.is_empty() && self.steps.len() == self.gaussians.len();
-        known.then_some(self.steps.as_slice())
-    }
-}
 
 /// What a frame's initialisation needs besides the layer itself.
 pub struct MotionInput<'a> {
@@ -93,14 +71,9 @@ fn add_seconds(total: &mut Option<f64>, since: Instant) {
     *total = Some(total.unwrap_or(0.0) + since.elapsed().as_secs_f64());
 }
 
-/// Positions in f64.
-pub fn positions(gaussians: &Gaussians) -> Vec<DVec3> {
-    gaussians.means.iter().map(|m| DVec3::from_array(m.map(f64::from))).collect()
-}
-
 /// Moves `dynamic` from t - 1 to t, removes what left the masks, and splits where the position is uncertain.
 pub fn initialise(input: &MotionInput, dynamic: &mut Dynamic) -> Result<MotionOutcome> {
-    let mut outcome = MotionOutcome { previous: positions(&dynamic.gaussians), ..MotionOutcome::default() };
+    let mut outcome = MotionOutcome { previous: dynamic.gaussians.positions(), ..MotionOutcome::default() };
     if *input.init == Init::None || dynamic.gaussians.is_empty() {
         return Ok(outcome);
     }

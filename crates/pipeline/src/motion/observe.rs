@@ -3,9 +3,8 @@
 use super::fields::{agree, densify_tracks, load, selected_trackers};
 use super::{MotionInput, MotionOutcome, add_seconds};
 use anyhow::Result;
-use ffgs_core::{DenseMotion, Gaussians, Observations};
+use ffgs_core::{DenseMotion, Gaussians, Observations, TrainingView};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
-use ffgs_trainer::TrainingView;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;

@@ -121,7 +121,6 @@ fn view_fields<'a>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::positions;
     use super::*;
     use crate::cli::Init;
     use crate::config::Config;
@@ -134,7 +133,7 @@ mod tests {
     fn layers(capture: &Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Gaussians) {
         let points = capture.initial_points().unwrap();
         let all = ffgs_trainer::from_points(&points.positions, &points.colours, 0, 0.9);
-        let places = positions(&all);
+        let places = all.positions();
         let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..all.len()).partition(|&i| inside(places[i]));
         (all.select(&moving), all.select(&fixed))
     }
@@ -174,7 +173,7 @@ mod tests {
         limited.association.contributors = 16;
         let (limited, mut warned) = (MotionInput { config: &limited, ..input }, MotionOutcome::default());
         assert!(device(&limited, &mut warned).is_none() && warned.warnings.len() == 1);
-        let outcome = || MotionOutcome { previous: positions(&moving), ..MotionOutcome::default() };
+        let outcome = || MotionOutcome { previous: moving.positions(), ..MotionOutcome::default() };
         let expected = super::super::observe(&input, &moving, &mut outcome(), &mut |_, _| {}).unwrap();
         let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
         assert_eq!(found.len(), expected.len());

@@ -1,8 +1,8 @@
 //! Lines 35 to 40.
 
-use super::{Dynamic, MotionInput, MotionOutcome, add_seconds, positions};
+use super::{MotionInput, MotionOutcome, add_seconds};
 use anyhow::Result;
-use ffgs_core::{Camera, Mask};
+use ffgs_core::{Camera, Dynamic, Mask};
 use ffgs_fusion::{count_views, second_chance, validate};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,7 +15,7 @@ pub(super) fn validate_positions(
     outcome: &mut MotionOutcome,
 ) -> Result<()> {
     let start = Instant::now();
-    let mut means = positions(&dynamic.gaussians);
+    let mut means = dynamic.gaussians.positions();
     let views = GrownMasks::new(input);
     let mut valid = views.valid(&means)?;
     second_chance(&outcome.previous, &mut means, &valid)?;

@@ -3,9 +3,9 @@
 use crate::rows::Rows;
 use crate::scene::{camera, discs, training_view};
 use anyhow::Result;
-use ffgs_core::{Gaussians, ImageSize, Mask};
+use ffgs_core::{Gaussians, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_gpu::{Gpu, GpuError};
-use ffgs_trainer::{DynamicLaneConfig, SkyCube, Surroundings, TrainingView};
+use ffgs_trainer::{DynamicLaneConfig, Surroundings};
 
 /// As the CPU's case: 640x360, three views, 100 000 Gaussians, 40 steps, uploads and caches included.
 const SIZE: ImageSize = ImageSize { width: 640, height: 360 };

@@ -90,10 +90,9 @@ impl Counts {
 mod tests {
     use super::*;
     use crate::{Part, Probe};
-    use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, TrainingView};
     use ffgs_gpu::Gpu;
     use ffgs_rasterizer::RenderOptions;
-    use ffgs_trainer::TrainingView;
     use std::collections::BTreeSet;
 
     #[test]

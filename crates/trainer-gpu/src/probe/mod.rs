@@ -8,11 +8,11 @@ use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
 use crate::workspace::Workspace;
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Commands, Gpu, GpuError, KernelTime};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
-use ffgs_trainer::{IndexMap, LearningRates, SkyCube, TrainingView};
+use ffgs_trainer::{IndexMap, LearningRates};
 use std::cell::Cell;
 
 /// A part of a training step. Each needs what the ones before it left on the device.

@@ -3,11 +3,10 @@
 use crate::parts::ellipse;
 use crate::scene::{camera, contributions, discs, pool, training_view};
 use criterion::{BenchmarkId, Criterion, Throughput};
-use ffgs_core::{Gaussians, ImageSize, Mask};
+use ffgs_core::{Gaussians, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, SkyCube, StaticLane, StaticMethod, Surroundings, TrainingView,
-    train_dynamic,
+    BackgroundConfig, DynamicLaneConfig, StaticLane, StaticMethod, Surroundings, train_dynamic,
 };
 
 /// Steps of the dynamic lane that are timed, its caches included.

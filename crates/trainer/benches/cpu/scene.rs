@@ -1,11 +1,12 @@
 //! The seeded scenes of all benchmarks: discs of the size of their spacing on a ground and three walls, as a first
 //! frame has them after some training.
 
-use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, logit};
+use ffgs_core::{
+    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, TrainingView, logit,
+};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, FootprintSums, Rasterizer, RenderOptions, RenderTape, TileMask, View,
 };
-use ffgs_trainer::TrainingView;
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

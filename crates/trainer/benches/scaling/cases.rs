@@ -2,11 +2,11 @@
 
 use crate::scene::{camera, discs, pool};
 use crate::{held, memory};
-use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask};
+use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, FirstFrameConfig, SkyCube, StaticLane, Surroundings, TILE_DILATION,
-    TrainingView, train_dynamic, train_first_frame,
+    BackgroundConfig, DynamicLaneConfig, FirstFrameConfig, StaticLane, Surroundings, TILE_DILATION,
+    train_dynamic, train_first_frame,
 };
 use std::fmt;
 use std::time::Instant;

@@ -4,10 +4,9 @@ mod solve;
 mod steps;
 mod trace;
 
-use crate::SkyCube;
 use crate::background::{BackgroundConfig, StaticMethod};
-use crate::view::{Progress, TrainingView};
-use ffgs_core::Gaussians;
+use crate::view::Progress;
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use trace::ViewTrace;
 
 /// Contributors kept a pixel where memory allows; more gain nothing (docs/adr/0007).

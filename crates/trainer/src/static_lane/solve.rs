@@ -7,10 +7,9 @@
 //! keeps colours which few pixels see where they are.
 
 use super::trace::ViewTrace;
-use crate::SkyCube;
 use crate::background::{BackgroundConfig, SkyBehind, outside};
-use crate::view::{Progress, Running, TrainingView};
-use ffgs_core::{Gaussians, PlanarImage, sh_coefficients};
+use crate::view::{Progress, Running};
+use ffgs_core::{Gaussians, PlanarImage, SkyCube, TrainingView, sh_coefficients};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View, sh_basis};
 use glam::Vec3;
 use rayon::prelude::*;

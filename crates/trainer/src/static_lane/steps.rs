@@ -2,9 +2,9 @@
 
 use crate::background::{BackgroundConfig, SkyBehind, outside};
 use crate::schedule::Epochs;
-use crate::view::{Progress, Running, TrainingView};
-use crate::{Adam, LossRegion, PhotometricLoss, SkyCube, Update};
-use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
+use crate::view::{Progress, Running};
+use crate::{Adam, LossRegion, PhotometricLoss, Update};
+use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, View,

@@ -1,0 +1,44 @@
+use crate::{Gaussians, SkyCube};
+use glam::{DMat3, DVec3};
+
+/// The scene at one frame: two layers of Gaussians before a sky.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Stands still; only its colour changes.
+    pub static_layer: Gaussians,
+    /// Moves every frame.
+    pub dynamic: Dynamic,
+    /// At infinity.
+    pub sky: SkyCube,
+}
+
+impl Scene {
+    /// Both layers, the static one first.
+    #[must_use]
+    pub fn joint(&self) -> Gaussians {
+        let mut joint = self.static_layer.clone();
+        joint.extend(&self.dynamic.gaussians);
+        joint
+    }
+}
+
+/// The moving layer, and what is known of its positions. Columns have one entry per Gaussian.
+#[derive(Clone, Debug, Default)]
+pub struct Dynamic {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// Position covariances (m^2).
+    pub covariances: Vec<DMat3>,
+    /// Process noise of the last fused frame (m).
+    pub q: f64,
+    /// Steps of the last initialisation (m); empty before the first.
+    pub steps: Vec<DVec3>,
+}
+
+impl Dynamic {
+    /// The last steps (m), if there are any.
+    pub fn known_steps(&self) -> Option<&[DVec3]> {
+        let known = !self.steps.is_empty() && self.steps.len() == self.gaussians.len();
+        known.then_some(self.steps.as_slice())
+    }
+}

@@ -1,0 +1,61 @@
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Seconds by the name of a stage.
+pub type Seconds = BTreeMap<String, f64>;
+
+/// What the stages of one frame say beside their results: how long they took, what they left out, what is odd.
+///
+/// Names are data: whoever reads a log goes through what is there. A stage is named once, where it is timed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StageLog {
+    /// Seconds of each stage; those of a stage that ran several times are added.
+    pub seconds: Seconds,
+    /// What was left out and why, and how often.
+    pub skips: BTreeMap<String, u64>,
+    /// Warnings.
+    pub warnings: Vec<String>,
+}
+
+impl StageLog {
+    /// Adds the time from `start` until now to a stage.
+    pub fn since(&mut self, stage: &str, start: Instant) {
+        self.add_seconds(stage, start.elapsed().as_secs_f64());
+    }
+
+    /// Adds seconds to a stage.
+    pub fn add_seconds(&mut self, stage: &str, seconds: f64) {
+        *self.seconds.entry(stage.to_owned()).or_default() += seconds;
+    }
+
+    /// Counts what was left out; a count of 0 leaves no entry.
+    pub fn skip(&mut self, what: impl Into<String>, count: usize) {
+        if count > 0 {
+            *self.skips.entry(what.into()).or_default() += count as u64;
+        }
+    }
+
+    /// Adds a warning.
+    pub fn warn(&mut self, warning: impl Into<String>) {
+        self.warnings.push(warning.into());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_entries_are_added_and_nothing_is_not_counted() {
+        let mut log = StageLog::default();
+        log.since("fuse", Instant::now());
+        log.add_seconds("fuse", 2.0);
+        log.skip("empty", 0);
+        log.skip("far", 2);
+        log.skip("far", 1);
+        assert!(log.seconds["fuse"] >= 2.0 && log.seconds.len() == 1);
+        assert_eq!(log.skips, BTreeMap::from([("far".to_owned(), 3)]));
+    }
+}
