@@ -1,0 +1,145 @@
+//! Captures: calibrated cameras with images over frames.
+
+use crate::{Fault, Plugin};
+use ffgs_core::{Camera, ImageRgb8, Mask};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A layout of captures on disk, e.g. that of Dynamic3DGaussians.
+pub trait CaptureFormat: Plugin {
+    /// Why the folder is taken for a capture of this format (what was found there); `None` when it is not one. Looks
+    /// at names and first bytes, not at whole files.
+    fn detect(&self, folder: &Path) -> Option<String>;
+
+    /// Opens the capture: reads the cameras. Images are read when asked for.
+    ///
+    /// # Errors
+    /// When the list of cameras cannot be used. A single bad camera or image is the error of [`Capture::camera`] and
+    /// [`Capture::image`], so that a check lists all of them.
+    fn open(&self, folder: &Path) -> Result<Box<dyn Capture>, Fault>;
+}
+
+/// An opened capture. Nothing is kept: an image is decoded when asked for, from whatever holds it.
+pub trait Capture: fmt::Debug + Send + Sync {
+    /// The capture's folder.
+    fn root(&self) -> &Path;
+
+    /// Number of frames of the training and test views.
+    fn frames(&self) -> usize;
+
+    /// Names of the views of a split, each once; [`ViewAt::view`] is an index into it.
+    fn views(&self, split: Split) -> &[String];
+
+    /// The camera of a view at a frame. Cameras may move, and may differ in size.
+    ///
+    /// # Errors
+    /// When the camera is none, or the capture has no such view.
+    fn camera(&self, at: ViewAt) -> Result<Camera, Fault>;
+
+    /// The image, of the camera's size.
+    ///
+    /// # Errors
+    /// When it is missing, damaged or of another size.
+    fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault>;
+
+    /// File that holds the image as it is, for programs that show it; `None` where there is none, e.g. in a video.
+    fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
+        let _ = at;
+        None
+    }
+
+    /// Foreground mask of the camera's size; `None` where the capture has none for this image.
+    ///
+    /// # Errors
+    /// When there is one that is damaged or of another size.
+    fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault>;
+
+    /// Coloured points of frame 0; `None` where the capture has none.
+    ///
+    /// # Errors
+    /// When there are some that cannot be read.
+    fn points(&self) -> Result<Option<Points>, Fault>;
+
+    /// Number of frames of a split: 0 without views, at most 1 of [`Split::Init`].
+    fn frames_of(&self, split: Split) -> usize {
+        match split {
+            _ if self.views(split).is_empty() => 0,
+            Split::Init => self.frames().min(1),
+            Split::Train | Split::Test => self.frames(),
+        }
+    }
+}
+
+/// Which part of a capture a view belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Views that are reconstructed from.
+    Train,
+    /// Held-out views; may move.
+    Test,
+    /// Views of frame 0 only, for the first frame, never for evaluation.
+    Init,
+}
+
+impl Split {
+    /// All splits.
+    pub const ALL: [Self; 3] = [Self::Train, Self::Test, Self::Init];
+}
+
+impl fmt::Display for Split {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Train => "train",
+            Self::Test => "test",
+            Self::Init => "init",
+        })
+    }
+}
+
+/// One view at one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ViewAt {
+    /// Part of the capture.
+    pub split: Split,
+    /// Index into [`Capture::views`].
+    pub view: usize,
+    /// Frame.
+    pub frame: usize,
+}
+
+/// Coloured points of frame 0, columns of one length.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Points {
+    /// Positions in the world (m), finite.
+    pub positions: Vec<[f32; 3]>,
+    /// sRGB in 0..=1.
+    pub colours: Vec<[f32; 3]>,
+    /// Whether the point lies on the dynamic foreground.
+    pub foreground: Vec<bool>,
+    /// Points left out because a value was NaN or infinite.
+    pub dropped: usize,
+}
+
+impl Points {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Number of foreground points.
+    pub fn foreground_count(&self) -> usize {
+        self.foreground.iter().filter(|f| **f).count()
+    }
+
+    /// Appends a point: x, y, z (m), r, g, b (clamped to 0..=1).
+    pub fn push(&mut self, [x, y, z, r, g, b]: [f32; 6], foreground: bool) {
+        self.positions.push([x, y, z]);
+        self.colours.push([r, g, b].map(|c| c.clamp(0.0, 1.0)));
+        self.foreground.push(foreground);
+    }
+}
