@@ -11,6 +11,7 @@ fn next_moments(m: f32, v: f32, g: f32) -> vec2f {
     return vec2f(m + (1.0 - BETA1) * (g - m), v + (1.0 - BETA2) * (g * g - v));
 }
 
-fn step_of(moments: vec2f, rate: f32, correction: vec2f) -> f32 {
-    return rate * (moments.x * correction.x) / (sqrt(moments.y) * correction.y + EPSILON);
+// A derivative that is small against `epsilon` moves its parameter by less than `rate`.
+fn step_of(moments: vec2f, rate: f32, correction: vec2f, epsilon: f32) -> f32 {
+    return rate * (moments.x * correction.x) / (sqrt(moments.y) * correction.y + epsilon);
 }

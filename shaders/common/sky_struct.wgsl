@@ -6,5 +6,6 @@ struct Sky {
     // Derivatives are summed as whole numbers, so that the order cannot matter: this many to 1.
     scale: f32,
     rate: f32,
-    padding: u32,
+    // A derivative of this size moves its texel at half the rate.
+    epsilon: f32,
 }

@@ -39,5 +39,5 @@ fn adam(
     let moments = next_moments(first[at], second[at], gradient[at]);
     first[at] = moments.x;
     second[at] = moments.y;
-    parameters[at] -= step_of(moments, rate, corrections[min(entry.steps, CORRECTED_STEPS)]);
+    parameters[at] -= step_of(moments, rate, corrections[min(entry.steps, CORRECTED_STEPS)], EPSILON);
 }

@@ -29,7 +29,7 @@ fn sky_adam(
     for (var c = 0u; c < 3u; c++) {
         let next = next_moments(moments[at + c].x, moments[at + c].y, f32(sums[c]) / sky.scale);
         moments[at + c] = next;
-        texels[at + c] -= step_of(next, sky.rate, correction);
+        texels[at + c] -= step_of(next, sky.rate, correction, sky.epsilon);
         gradient[at + c] = 0;
     }
 }

@@ -1,4 +1,5 @@
-// Sums what the pixels say of the texels they see, through the transmittance that the Gaussians leave.
+// Sums what the pixels say of the texels they see, through the transmittance that the Gaussians leave, and weighted by
+// it once more: the error of a hidden pixel is not the sky's.
 // Floor: 32 B read a pixel and 12 atomic additions where the sky shows.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -27,7 +28,8 @@ fn sky_gradient(
         return;
     }
     let at = pixel.y * view.size.x + pixel.x;
-    let g = upstream[at].xyz * pixels[at].w;
+    let through = pixels[at].w;
+    let g = upstream[at].xyz * (through * through);
     if all(g == vec3f(0.0)) {
         return;
     }

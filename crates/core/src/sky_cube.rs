@@ -16,6 +16,22 @@ impl SkyCube {
         Self { face_size, texels: vec![colour; 6 * face_size * face_size] }
     }
 
+    /// No sky: one colour in all directions, which no lane changes.
+    pub fn none(colour: [f32; 3]) -> Self {
+        Self::filled(1, colour)
+    }
+
+    /// Whether this is no sky.
+    pub fn is_none(&self) -> bool {
+        self.face_size == 1
+    }
+
+    /// Mean colour of all texels.
+    pub fn mean(&self) -> [f32; 3] {
+        let sum = |c: usize| self.texels.iter().map(|t| f64::from(t[c])).sum::<f64>();
+        [0, 1, 2].map(|c| (sum(c) / self.texels.len() as f64) as f32)
+    }
+
     /// Texels along the edge of a face.
     pub fn face_size(&self) -> usize {
         self.face_size

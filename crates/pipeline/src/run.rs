@@ -18,7 +18,7 @@ use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_tracks::TrackStore;
-use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points};
+use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -146,7 +146,8 @@ impl<'a> Job<'a> {
             }
             record.seconds.load = Some(start.elapsed().as_secs_f64());
             let trained = self.train_all(&training, console)?;
-            self.split(&trained.gaussians, trained.sky, &views, &training)?
+            let sky = sky_or_none(trained.sky, &trained.gaussians, &views);
+            self.split(&trained.gaussians, sky, &views, &training)?
         };
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         self.finish(frame, scene, record)
@@ -309,6 +310,15 @@ impl<'a> Job<'a> {
         forget_motion_accuracy(&self.folder)?;
         Ok((scene, record))
     }
+}
+
+/// Indoors no sky is seen; what frame 0 made of it shows as soon as something before it moves.
+fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> SkyCube {
+    if shows_sky(layer, views) {
+        return sky;
+    }
+    tracing::info!("the views see no sky (indoors?): one colour stands behind everything, and the sky lane rests");
+    SkyCube::none(sky.mean())
 }
 
 /// What `ffgs-lab motion-eval` found does not hold for a run with one more frame.

@@ -10,7 +10,7 @@ use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Gpu, GpuError, Groups};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
-use ffgs_trainer::{BackgroundConfig, Epochs, LearningRates, Progress, background_region};
+use ffgs_trainer::{BackgroundConfig, Epochs, LearningRates, Progress, SKY_LANE_DOUBT, background_region};
 
 const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None };
 
@@ -32,7 +32,7 @@ pub fn train_static(
     }
     let mut lane = Lane::new(gpu, config, views, sky, layer)?;
     let rates = config.static_rates();
-    lane.sky.prepare(gpu, 0.0, 1.0);
+    lane.sky.prepare(gpu, 0.0, 1.0, 1.0);
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     for iteration in 0..config.static_iterations {
         let Some(index) = epochs.draw() else { break };
@@ -56,11 +56,11 @@ pub fn train_sky(
     sky: &mut SkyCube,
     seed: u64,
 ) -> Result<(), GpuError> {
-    if views.is_empty() || config.sky_iterations == 0 {
+    if views.is_empty() || config.sky_iterations == 0 || sky.is_none() {
         return Ok(());
     }
     let mut lane = Lane::new(gpu, config, views, sky, layer)?;
-    lane.sky.prepare(gpu, config.sky_rate, 1.0);
+    lane.sky.prepare(gpu, config.sky_rate, 1.0, SKY_LANE_DOUBT);
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     for _ in 0..config.sky_iterations {
         let Some(index) = epochs.draw() else { break };

@@ -9,7 +9,7 @@ use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
 use ffgs_trainer::{
-    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, decay,
+    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, SKY_DOUBT, decay,
     density_config, reset_opacities,
 };
 
@@ -79,7 +79,8 @@ impl<'a> Training<'a> {
             density: DensityControl::new(density_config(config), gaussians.len(), seed),
         };
         // A mean over pixels: the derivative of one is about this large.
-        training.sky.prepare(gpu, config.sky_rate, 1.0 / (3 * largest_view(views)) as f32);
+        let typical = 1.0 / (3 * largest_view(views)) as f32;
+        training.sky.prepare(gpu, config.sky_rate, typical, SKY_DOUBT * typical);
         training.fit()?;
         Ok(training)
     }

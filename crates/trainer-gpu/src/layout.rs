@@ -42,5 +42,5 @@ pub(crate) struct SkyUniform {
     pub size: u32,
     pub scale: f32,
     pub rate: f32,
-    pub padding: u32,
+    pub epsilon: f32,
 }

@@ -19,7 +19,7 @@ fn host_structs_have_the_layout_of_the_shaders() {
         ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
         ("Adam", host_layout!(AdamUniform, items, width, stamp, padding, rates)),
         ("Carry", host_layout!(CarryUniform, rows, width, dropped, padding)),
-        ("Sky", host_layout!(SkyUniform, size, scale, rate, padding)),
+        ("Sky", host_layout!(SkyUniform, size, scale, rate, epsilon)),
     ];
     for (name, host) in twins {
         let layouts = kernels::ALL.iter().filter_map(|k| Reflection::of(k).unwrap().layout(name));

@@ -31,10 +31,11 @@ impl GpuSky {
         })
     }
 
-    /// Sets the step size, and the size of a typical derivative of one pixel.
-    pub fn prepare(&self, gpu: &Gpu, rate: f32, typical: f32) {
+    /// Sets the step size, the size of a typical derivative of one pixel, and the derivative that moves a texel at half
+    /// the step size.
+    pub fn prepare(&self, gpu: &Gpu, rate: f32, typical: f32, epsilon: f32) {
         let size = self.face_size as u32;
-        gpu.write(&self.uniform, &[SkyUniform { size, scale: UNIT / typical, rate, padding: 0 }]);
+        gpu.write(&self.uniform, &[SkyUniform { size, scale: UNIT / typical, rate, epsilon }]);
     }
 
     /// Puts the sky into the layers of a target's view.

@@ -155,7 +155,8 @@ impl Adam {
         for (i, step) in self.steps.iter_mut().enumerate() {
             *step += u32::from(update.includes(i));
         }
-        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update };
+        let shared =
+            Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon: EPSILON };
         let (p, g, m, v) = (gaussians, gradient, &mut self.first, &mut self.second);
         macro_rules! column {
             ($field:ident, $rates:expr) => {
@@ -206,6 +207,7 @@ struct Shared<'a> {
     steps: &'a [u32],
     corrections: &'a [Correction],
     update: Update<'a>,
+    epsilon: f32,
 }
 
 impl Shared<'_> {
@@ -260,7 +262,7 @@ impl Kernel for Chunk<'_> {
             && self.rates.iter().all(|r| *r == self.rates[0]);
         if uniform {
             let by = self.shared.correction(self.start);
-            descend_uniform::<FMA>(self.p, self.g, self.m, self.v, self.rates[0], by);
+            descend_uniform::<FMA>(self.p, self.g, self.m, self.v, self.rates[0], by, self.shared.epsilon);
             return;
         }
         for i in (0..count).filter(|i| self.shared.update.includes(self.start + i)) {
@@ -269,7 +271,7 @@ impl Kernel for Chunk<'_> {
             let (p, g) = (&mut self.p[at.clone()], &self.g[at.clone()]);
             let (m, v) = (&mut self.m[at.clone()], &mut self.v[at]);
             for ((((p, g), m), v), rate) in p.iter_mut().zip(g).zip(m).zip(v).zip(self.rates) {
-                descend::<FMA>(p, *g, m, v, *rate, by);
+                descend::<FMA>(p, *g, m, v, *rate, by, self.shared.epsilon);
             }
         }
     }
@@ -284,17 +286,26 @@ fn descend_uniform<const FMA: bool>(
     v: &mut [f32],
     rate: f32,
     by: Correction,
+    epsilon: f32,
 ) {
     for (((p, g), m), v) in p.iter_mut().zip(g).zip(m).zip(v) {
-        descend::<FMA>(p, *g, m, v, rate, by);
+        descend::<FMA>(p, *g, m, v, rate, by, epsilon);
     }
 }
 
 #[inline(always)]
-fn descend<const FMA: bool>(p: &mut f32, g: f32, m: &mut f32, v: &mut f32, rate: f32, by: Correction) {
+fn descend<const FMA: bool>(
+    p: &mut f32,
+    g: f32,
+    m: &mut f32,
+    v: &mut f32,
+    rate: f32,
+    by: Correction,
+    epsilon: f32,
+) {
     *m = fma::<FMA>(1.0 - BETA1, g - *m, *m);
     *v = fma::<FMA>(1.0 - BETA2, fma::<FMA>(g, g, -*v), *v);
-    *p -= rate * (*m * by.first) / fma::<FMA>(v.sqrt(), by.second, EPSILON);
+    *p -= rate * (*m * by.first) / fma::<FMA>(v.sqrt(), by.second, epsilon);
 }
 
 /// Adam over a flat vector whose entries form items of `width` values, each with its own step count (texels: 3).
@@ -320,17 +331,24 @@ impl AdamVec {
         }
     }
 
-    /// One step of `parameters` down `gradient`, both (items * width).
+    /// One step of `parameters` down `gradient`, both (items * width). A derivative that is small against `epsilon` moves
+    /// its parameter by less than `rate`, in proportion.
     ///
     /// # Panics
     /// When a length differs from the state's.
-    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f32, update: Update) {
+    pub fn step(
+        &mut self,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        (rate, epsilon): (f32, f32),
+        update: Update,
+    ) {
         assert!(parameters.len() == self.first.len() && gradient.len() == self.first.len(), "lengths differ");
         self.rates.fill(rate);
         for (i, step) in self.steps.iter_mut().enumerate() {
             *step += u32::from(update.includes(i));
         }
-        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update };
+        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon };
         shared.column(parameters, gradient, (&mut self.first, &mut self.second), &self.rates);
     }
 }
@@ -434,9 +452,13 @@ mod tests {
         let mut p = vec![0.3, -0.2, 0.1, 0.5, 0.6, 0.7];
         let gradient = [0.1, -0.2, 0.3, 0.4, 0.5, 0.6];
         let mut adam = AdamVec::new(2, 3);
-        adam.step(&mut p, &gradient, 0.01, Update::Touched(&[true, false]));
-        adam.step(&mut p, &gradient, 0.01, Update::Touched(&[true, false]));
+        adam.step(&mut p, &gradient, (0.01, 1e-15), Update::Touched(&[true, false]));
+        adam.step(&mut p, &gradient, (0.01, 1e-15), Update::Touched(&[true, false]));
         assert!((f64::from(p[1]) - reference(-0.2, &[-0.2, -0.2], 0.01)).abs() < 1e-6);
         assert_eq!(p[3..], [0.5, 0.6, 0.7]);
+        // At the derivative's own size, half the rate.
+        let mut half = vec![0.0; 3];
+        AdamVec::new(1, 3).step(&mut half, &[0.1; 3], (0.01, 0.1), Update::Dense);
+        assert!((half[0] + 0.005).abs() < 1e-6, "{half:?}");
     }
 }

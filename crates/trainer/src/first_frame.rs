@@ -3,7 +3,9 @@
 use crate::densify::{DensityConfig, DensityControl, ViewStatistics, reset_opacities};
 use crate::schedule::{Epochs, decay};
 use crate::view::{Progress, Running};
-use crate::{Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SkyView, TexelGradients, Update};
+use crate::{
+    Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SKY_DOUBT, SkyView, TexelGradients, Update,
+};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
@@ -189,18 +191,21 @@ impl<'a> Training<'a> {
         self.observe();
     }
 
-    /// Sparse in the texels that the view sees.
+    /// Sparse in the texels that the view sees. The transmittance enters twice: the derivative holds it once, and the error
+    /// of a hidden pixel is not the sky's.
     fn update_sky(&mut self) {
         let Some(view) = &self.sky_view else { return };
         let through = self.tape.transmittance();
         for plane in self.pixel_gradient.data_mut().chunks_exact_mut(through.len()) {
-            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t);
+            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t * t);
         }
+        let doubt = SKY_DOUBT / (3 * through.len()) as f32;
         self.texel_gradients.clear();
         view.backward(&self.pixel_gradient, &mut self.texel_gradients);
         let TexelGradients { sums, touched, .. } = &self.texel_gradients;
         let texels = self.sky.texels.as_flattened_mut();
-        self.sky_adam.step(texels, sums.as_flattened(), self.config.sky_rate, Update::Touched(touched));
+        let rate = (self.config.sky_rate, doubt);
+        self.sky_adam.step(texels, sums.as_flattened(), rate, Update::Touched(touched));
     }
 
     fn observe(&mut self) {

@@ -24,7 +24,7 @@ pub use first_frame::{FirstFrame, FirstFrameConfig, density_config, train_first_
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss};
 pub use schedule::{Epochs, decay};
-pub use sky::{SkyView, TexelGradients};
-pub use sky_lane::train_sky;
+pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
+pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::StaticLane;
 pub use view::Progress;

@@ -2,9 +2,32 @@
 
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
-use crate::{AdamVec, SkyView, TexelGradients, Update};
+use crate::{AdamVec, SKY_LANE_DOUBT, SkyView, TexelGradients, Update};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+
+/// Pixels that let more than this through show the sky.
+const OPEN: f32 = 0.5;
+/// Share of such pixels below which a capture is taken to be indoors: what is left are leaks between Gaussians.
+const MIN_OPEN_SHARE: f64 = 0.01;
+
+/// Whether the views see past the trained `layer`, that is, whether there is a sky to model. Indoors there is none.
+pub fn shows_sky(layer: &Gaussians, views: &[TrainingView]) -> bool {
+    let mut tape = RenderTape::default();
+    let mut open = |view: &TrainingView| {
+        render_alone(layer, view, &mut tape);
+        tape.transmittance().iter().filter(|t| **t > OPEN).count()
+    };
+    let seen: usize = views.iter().map(&mut open).sum();
+    let all: usize = views.iter().map(|v| v.camera.size().pixels()).sum();
+    seen as f64 >= MIN_OPEN_SHARE * all as f64
+}
+
+/// Renders a layer before black.
+fn render_alone(layer: &Gaussians, view: &TrainingView, tape: &mut RenderTape) {
+    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
+}
 
 /// Finetunes the sky through the transmittance that `layer` leaves; the layer is rendered once a view.
 pub fn train_sky(
@@ -14,7 +37,7 @@ pub fn train_sky(
     sky: &mut SkyCube,
     seed: u64,
 ) {
-    if config.sky_iterations == 0 {
+    if config.sky_iterations == 0 || sky.is_none() {
         return;
     }
     let Some(first) = views.first() else { return };
@@ -35,7 +58,8 @@ pub fn train_sky(
         gradient.clear();
         aimed.backward(&rendered, &mut gradient);
         let (texels, sums) = (sky.texels.as_flattened_mut(), gradient.sums.as_flattened());
-        adam.step(texels, sums, config.sky_rate, Update::Touched(&gradient.touched));
+        let rate = (config.sky_rate, SKY_LANE_DOUBT);
+        adam.step(texels, sums, rate, Update::Touched(&gradient.touched));
     }
 }
 
@@ -48,8 +72,7 @@ struct SkyTarget {
 
 impl SkyTarget {
     fn new(view: &TrainingView, layer: &Gaussians, dilation: usize, tape: &mut RenderTape) -> Self {
-        let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
+        render_alone(layer, view, tape);
         let mut remainder = PlanarImage::from(&view.image);
         remainder.data_mut().iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
         let region = outside(view, dilation);
@@ -58,12 +81,61 @@ impl SkyTarget {
         Self { remainder, transmittance }
     }
 
-    /// Replaces a rendered sky by the derivative of half the squared error.
+    /// Replaces a rendered sky by the derivative of half the squared error, weighted by the transmittance once more: the
+    /// error of a hidden pixel is not the sky's.
     fn residual(&self, sky: &mut PlanarImage) {
         let pixels = self.transmittance.len();
         for (i, v) in sky.data_mut().iter_mut().enumerate() {
             let t = self.transmittance[i % pixels];
-            *v = t * (t * *v - self.remainder.data()[i]);
+            *v = t * t * (t * *v - self.remainder.data()[i]);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, Intrinsics, Mask};
+
+    const SIZE: ImageSize = ImageSize { width: 32, height: 24 };
+
+    /// A camera at the origin that photographs one colour.
+    fn view(colour: u8) -> TrainingView {
+        let intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 16.0, cy: 12.0 };
+        let camera = Camera::new(intrinsics, glam::DMat4::IDENTITY, SIZE).unwrap();
+        let image = ImageRgb8::new(SIZE, vec![colour; 3 * SIZE.pixels()]).unwrap();
+        TrainingView { camera, image, mask: Mask::filled(SIZE, false) }
+    }
+
+    /// A dense wall of opaque discs before the left half of the view, or before all of it.
+    fn wall(right: f32) -> Gaussians {
+        let points: Vec<[f32; 3]> =
+            (0..40 * 40).map(|i| [(i % 40) as f32 * 0.1 - 2.0, (i / 40) as f32 * 0.1 - 2.0, 2.0]).collect();
+        let kept: Vec<[f32; 3]> = points.into_iter().filter(|p| p[0] < right).collect();
+        crate::from_points(&kept, &vec![[0.2; 3]; kept.len()], 0, 0.98)
+    }
+
+    #[test]
+    fn a_texel_in_the_open_learns_and_one_behind_a_wall_stays() {
+        let (view, start) = (view(200), SkyCube::filled(16, [0.5; 3]));
+        let mut sky = start.clone();
+        let config = BackgroundConfig { sky_iterations: 300, sky_rate: 5e-3, ..BackgroundConfig::default() };
+        train_sky(&config, std::slice::from_ref(&view), &wall(-0.3), &mut sky, 1);
+        let mut picture = PlanarImage::zeros(SIZE);
+        SkyView::new(&view.camera, 16).render(&sky, &mut picture);
+        let at = |column: usize| picture.pixel(12 * SIZE.width + column)[0];
+        assert!((at(28) - 200.0 / 255.0).abs() < 0.02, "open: {}", at(28));
+        assert!((at(2) - 0.5).abs() < 0.02, "hidden: {}", at(2));
+        assert!((0..start.texels.len()).any(|t| sky.texels[t] == start.texels[t]), "unseen texels stay");
+    }
+
+    #[test]
+    fn a_closed_room_shows_no_sky() {
+        let views = [view(50)];
+        assert!(!shows_sky(&wall(3.0), &views));
+        assert!(shows_sky(&wall(-0.3), &views));
+        let mut none = SkyCube::none([0.3; 3]);
+        train_sky(&BackgroundConfig::default(), &views, &wall(-0.3), &mut none, 1);
+        assert_eq!(none, SkyCube::none([0.3; 3]));
     }
 }

@@ -58,7 +58,7 @@ impl<'a> Probe<'a> {
         let mut workspace = Workspace::new(gpu, gaussians.len(), view.camera.size().pixels())?;
         workspace.fit(&optimiser.scene, std::slice::from_ref(&target), options)?;
         let sky = GpuSky::new(gpu, &SkyCube::filled(8, [0.3; 3]))?;
-        sky.prepare(gpu, 0.0, 1.0);
+        sky.prepare(gpu, 0.0, 1.0, 1.0);
         let mut commands = gpu.commands();
         sky.draw(&mut commands, &target);
         gpu.submit(commands)?;
