@@ -33,9 +33,20 @@ pub struct Dynamic {
     pub q: f64,
     /// Steps of the last initialisation (m); empty before the first.
     pub steps: Vec<DVec3>,
+    /// Ids, which stay with a Gaussian over all frames.
+    pub ids: Vec<u32>,
+    /// The first id that no Gaussian ever had.
+    pub next_id: u32,
 }
 
 impl Dynamic {
+    /// Gives an id to every Gaussian appended since the last call.
+    pub fn number_new(&mut self) {
+        let new = self.gaussians.len().saturating_sub(self.ids.len()) as u32;
+        self.ids.extend(self.next_id..self.next_id + new);
+        self.next_id += new;
+    }
+
     /// The last steps (m), if there are any.
     pub fn known_steps(&self) -> Option<&[DVec3]> {
         let known = !self.steps.is_empty() && self.steps.len() == self.gaussians.len();

@@ -17,6 +17,7 @@ use ffgs_dataset::{Capture, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
 use ffgs_report::{motion_picture, uncertainty_picture};
+use ffgs_splats::Tracked;
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
 use std::ops::Range;
@@ -188,7 +189,8 @@ impl<'a> Job<'a> {
         let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
         let axes = gaussians.log_scales.iter().map(smallest);
         let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
-        let dynamic = Dynamic { gaussians, covariances, ..Dynamic::default() };
+        let mut dynamic = Dynamic { gaussians, covariances, ..Dynamic::default() };
+        dynamic.number_new();
         Ok(Scene { static_layer: all.select(&indices(false)), dynamic, sky })
     }
 
@@ -296,7 +298,8 @@ impl<'a> Job<'a> {
         let folder = self.folder.frame(frame);
         let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
         ffgs_splats::write_ply(&static_ply, &scene.static_layer, None)?;
-        ffgs_splats::write_ply(&dynamic_ply, &scene.dynamic.gaussians, Some(&scene.dynamic.covariances))?;
+        let Dynamic { gaussians, covariances, ids, .. } = &scene.dynamic;
+        ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }))?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
         record.views = score(&self.capture, &scene, frame, &folder, self.lanes())?;
@@ -317,7 +320,9 @@ fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> SkyCu
     if shows_sky(layer, views) {
         return sky;
     }
-    tracing::info!("the views see no sky (indoors?): one colour stands behind everything, and the sky lane rests");
+    tracing::info!(
+        "the views see no sky (indoors?): one colour stands behind everything, and the sky lane rests"
+    );
     SkyCube::none(sky.mean())
 }
 

@@ -16,6 +16,8 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         sky: scene.sky.texels.as_flattened().to_vec(),
         q: scene.dynamic.q,
         dynamic_steps: scene.dynamic.steps.clone(),
+        dynamic_ids: scene.dynamic.ids.clone(),
+        next_id: scene.dynamic.next_id,
         ..FrameState::default()
     };
     Ok(save_checkpoint(path, &state)?)
@@ -40,6 +42,8 @@ pub fn load(path: &Path) -> Result<Scene> {
         covariances: state.dynamic_covariances,
         q: state.q,
         steps: state.dynamic_steps,
+        ids: state.dynamic_ids,
+        next_id: state.next_id,
     };
     Ok(Scene { static_layer: state.static_layer, dynamic, sky })
 }

@@ -52,6 +52,10 @@ impl<'a> Cursor<'a> {
         Ok(self.take(count, 4)?.chunks_exact(4).map(|b| f32::from_le_bytes(le(b))).collect())
     }
 
+    pub fn u32s(&mut self, count: usize) -> Result<Vec<u32>, Problem> {
+        Ok(self.take(count, 4)?.chunks_exact(4).map(|b| u32::from_le_bytes(le(b))).collect())
+    }
+
     /// `rows` rows of N values.
     pub fn f32_rows<const N: usize>(&mut self, rows: usize) -> Result<Vec<[f32; N]>, Problem> {
         let bytes = self.take(rows, 4 * N)?;

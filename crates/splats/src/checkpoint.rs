@@ -10,8 +10,8 @@ use std::io::Write;
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-/// 2 added the last steps; 1 is still read.
-const VERSION: u32 = 2;
+/// 2 added the last steps, 3 ids and information; older ones are still read.
+const VERSION: u32 = 3;
 const HEAD: usize = 20;
 const CHECKSUM: usize = 4;
 
@@ -27,6 +27,15 @@ pub struct FrameState {
     pub dynamic_layer: Gaussians,
     /// Position covariances of the dynamic layer (m^2).
     pub dynamic_covariances: Vec<DMat3>,
+    /// Ids of the dynamic layer, which stay with a Gaussian over all frames.
+    pub dynamic_ids: Vec<u32>,
+    /// The first id that no Gaussian ever had.
+    pub next_id: u32,
+    /// Information (inverse variance) of each parameter of the dynamic layer but the positions, whose covariances stand
+    /// above; empty when unknown.
+    pub dynamic_information: Gaussians,
+    /// Information of each parameter of the static layer; empty when unknown.
+    pub static_information: Gaussians,
     /// Edge of a sky cube face (px); 0 without a sky.
     pub sky_face_size: usize,
     /// Sky texture, kept as it is.
@@ -108,6 +117,11 @@ fn encode(state: &FrameState) -> Vec<u8> {
     }
     put_u64(&mut out, state.dynamic_steps.len() as u64);
     state.dynamic_steps.iter().for_each(|s| put_f64s(&mut out, &s.to_array()));
+    put_u64(&mut out, state.dynamic_ids.len() as u64);
+    state.dynamic_ids.iter().for_each(|id| out.extend(id.to_le_bytes()));
+    put_u64(&mut out, u64::from(state.next_id));
+    put_layer(&mut out, &state.dynamic_information);
+    put_layer(&mut out, &state.static_information);
     out
 }
 
@@ -136,6 +150,9 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     let integers = named(&mut cursor, Cursor::u64)?;
     let steps = if version >= 2 { cursor.length()? } else { 0 };
     let dynamic_steps = cursor.f64_rows::<3>(steps)?.into_iter().map(DVec3::from_array).collect();
+    let (dynamic_ids, next_id) = ids(version, &mut cursor, dynamic_layer.len())?;
+    let mut information = || if version >= 3 { layer(&mut cursor) } else { Ok(Gaussians::default()) };
+    let (dynamic_information, static_information) = (information()?, information()?);
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -144,6 +161,10 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
         static_layer,
         dynamic_layer,
         dynamic_covariances,
+        dynamic_ids,
+        next_id,
+        dynamic_information,
+        static_information,
         sky_face_size,
         sky,
         q,
@@ -151,6 +172,18 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
         reals,
         integers,
     })
+}
+
+/// Ids and the next free one; versions before 3 had none, and their Gaussians are numbered.
+fn ids(version: u32, cursor: &mut Cursor<'_>, n: usize) -> Result<(Vec<u32>, u32), Problem> {
+    if version < 3 {
+        return Ok(((0..n as u32).collect(), n as u32));
+    }
+    let count = cursor.length()?;
+    let ids = cursor.u32s(count)?;
+    let next = cursor.u64()?;
+    let next = u32::try_from(next).map_err(|_| Problem::Corrupt(format!("next id {next}")))?;
+    Ok((ids, next))
 }
 
 fn layer(cursor: &mut Cursor<'_>) -> Result<Gaussians, Problem> {

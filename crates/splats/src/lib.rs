@@ -14,5 +14,5 @@ mod sky;
 pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
 pub use error::{Problem, SplatError};
 pub use ply_read::{PlySplats, read_ply};
-pub use ply_write::write_ply;
+pub use ply_write::{Tracked, write_ply};
 pub use sky::{SKY_FACES, write_sky_cross, write_sky_faces};

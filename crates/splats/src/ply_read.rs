@@ -17,6 +17,8 @@ pub struct PlySplats {
     pub gaussians: Gaussians,
     /// Position covariances (m^2), one per Gaussian, when the file has them.
     pub covariances: Option<Vec<DMat3>>,
+    /// Ids that stay with a Gaussian over all frames, when the file has them.
+    pub ids: Option<Vec<u32>>,
 }
 
 /// Reads a 3DGS PLY, ascii or binary. Unknown properties and elements are skipped; the SH degree follows from the
@@ -69,6 +71,7 @@ struct Columns {
     dc: [usize; 3],
     rest: Vec<usize>,
     covariance: Option<[usize; 6]>,
+    id: Option<usize>,
     sh_degree: usize,
 }
 
@@ -92,6 +95,7 @@ impl Columns {
             dc: all(["f_dc_0", "f_dc_1", "f_dc_2"].map(find))?,
             rest: (0..rest_count).map(|i| find(&format!("f_rest_{i}"))).collect::<Result<_, _>>()?,
             covariance: all(covariance).ok(),
+            id: find("id").ok(),
             sh_degree,
         })
     }
@@ -120,6 +124,9 @@ impl Columns {
             let [xx, xy, xz, yy, yz, zz] = columns.map(|c| row[c]);
             covariances.push(DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]));
         }
+        if let (Some(column), Some(ids)) = (self.id, &mut out.ids) {
+            ids.push(row[column] as u32);
+        }
     }
 }
 
@@ -135,7 +142,8 @@ fn read_vertices(body: &mut Body, element: &Element) -> Result<PlySplats, Proble
     let columns = Columns::find(&element.properties)?;
     let needed = columns.needed();
     let covariances = columns.covariance.map(|_| Vec::new());
-    let mut out = PlySplats { gaussians: Gaussians::empty(columns.sh_degree), covariances };
+    let ids = columns.id.map(|_| Vec::new());
+    let mut out = PlySplats { gaussians: Gaussians::empty(columns.sh_degree), covariances, ids };
     let mut row = vec![0.0; element.properties.len()];
     for i in 0..element.count {
         body.row(&element.properties, |column, value| row[column] = value)?;

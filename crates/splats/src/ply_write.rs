@@ -5,23 +5,31 @@ use glam::DMat3;
 use std::io::Write;
 use std::path::Path;
 
+/// What is known of Gaussians that are followed over time, a row each.
+#[derive(Clone, Copy, Debug)]
+pub struct Tracked<'a> {
+    /// Position covariances (m^2).
+    pub covariances: &'a [DMat3],
+    /// Ids that stay with a Gaussian over all frames.
+    pub ids: &'a [u32],
+}
+
 /// Writes a binary little-endian 3DGS PLY that other viewers open: `x y z nx ny nz f_dc_* f_rest_*` (channel-major)
-/// `opacity scale_* rot_*` (w, x, y, z), all f32. `covariances` (m^2, one per Gaussian) become the extra properties
-/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz`.
-pub fn write_ply(
-    path: &Path,
-    gaussians: &Gaussians,
-    covariances: Option<&[DMat3]>,
-) -> Result<(), SplatError> {
-    check(gaussians, covariances).in_file(path)?;
+/// `opacity scale_* rot_*` (w, x, y, z), all f32. What is `tracked` becomes the extra properties
+/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz` (f32) and `id` (u32).
+pub fn write_ply(path: &Path, gaussians: &Gaussians, tracked: Option<Tracked>) -> Result<(), SplatError> {
+    check(gaussians, tracked).in_file(path)?;
     write_atomically(path, |out| -> Result<(), Problem> {
-        out.write_all(header(gaussians, covariances.is_some()).as_bytes())?;
+        out.write_all(header(gaussians, tracked.is_some()).as_bytes())?;
         let mut row = Vec::new();
         for i in 0..gaussians.len() {
             row.clear();
-            push_row(&mut row, gaussians, i, covariances.map(|c| c[i]));
+            push_row(&mut row, gaussians, i, tracked.map(|t| t.covariances[i]));
             for value in &row {
                 out.write_all(&value.to_le_bytes())?;
+            }
+            if let Some(tracked) = tracked {
+                out.write_all(&tracked.ids[i].to_le_bytes())?;
             }
         }
         Ok(())
@@ -29,28 +37,32 @@ pub fn write_ply(
     .in_file(path)
 }
 
-fn check(gaussians: &Gaussians, covariances: Option<&[DMat3]>) -> Result<(), Problem> {
+fn check(gaussians: &Gaussians, tracked: Option<Tracked>) -> Result<(), Problem> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string()))?;
-    match covariances {
-        Some(c) if c.len() != gaussians.len() => {
-            let n = gaussians.len();
-            Err(Problem::Shape(format!("{} covariances for {n} Gaussians", c.len())))
+    let n = gaussians.len();
+    match tracked {
+        Some(t) if t.covariances.len() != n || t.ids.len() != n => {
+            let (covariances, ids) = (t.covariances.len(), t.ids.len());
+            Err(Problem::Shape(format!("{covariances} covariances and {ids} ids for {n} Gaussians")))
         }
         _ => Ok(()),
     }
 }
 
-fn header(gaussians: &Gaussians, with_covariances: bool) -> String {
+fn header(gaussians: &Gaussians, with_tracked: bool) -> String {
     let rest = 3 * (gaussians.sh_stride() - 1);
     let numbered = |name: &'static str, n: usize| (0..n).map(move |i| format!("{name}_{i}"));
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
     names.extend(numbered("f_dc", 3).chain(numbered("f_rest", rest)));
     names.push("opacity".to_owned());
     names.extend(numbered("scale", 3).chain(numbered("rot", 4)));
-    if with_covariances {
+    if with_tracked {
         names.extend(["xx", "xy", "xz", "yy", "yz", "zz"].map(|n| format!("cov_{n}")));
     }
-    let properties: Vec<String> = names.iter().map(|n| format!("property float {n}\n")).collect();
+    let mut properties: Vec<String> = names.iter().map(|n| format!("property float {n}\n")).collect();
+    if with_tracked {
+        properties.push("property uint id\n".to_owned());
+    }
     let vertices = gaussians.len();
     let properties = properties.concat();
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{properties}end_header\n")

@@ -1,7 +1,7 @@
 //! Splat PLY: round trips, foreign files, hostile files.
 
 use ffgs_core::{Gaussians, sh_coefficients};
-use ffgs_splats::{Problem, read_ply, write_ply};
+use ffgs_splats::{Problem, Tracked, read_ply, write_ply};
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;
 use std::fs;
@@ -54,18 +54,24 @@ fn every_degree_survives_a_round_trip() {
 }
 
 #[test]
-fn covariances_survive_as_f32_and_an_empty_set_is_a_file() {
+fn covariances_and_ids_survive_and_an_empty_set_is_a_file() {
     let scratch = Scratch::new();
     let m = DMat3::from_cols(
         DVec3::new(1.0, 0.5, 0.25),
         DVec3::new(0.5, 2.0, 0.125),
         DVec3::new(0.25, 0.125, 3.0),
     );
-    write_ply(&scratch.path(), &some_gaussians(2, 1), Some(&[m, m * 2.0])).unwrap();
-    assert_eq!(read_ply(&scratch.path()).unwrap().covariances.unwrap(), [m, m * 2.0]);
-    write_ply(&scratch.path(), &Gaussians::empty(3), Some(&[])).unwrap();
+    let tracked = Tracked { covariances: &[m, m * 2.0], ids: &[7, u32::MAX] };
+    write_ply(&scratch.path(), &some_gaussians(2, 1), Some(tracked)).unwrap();
+    let back = read_ply(&scratch.path()).unwrap();
+    assert_eq!(back.covariances.unwrap(), [m, m * 2.0]);
+    assert_eq!(back.ids.unwrap(), [7, u32::MAX]);
+    let none = Tracked { covariances: &[], ids: &[] };
+    write_ply(&scratch.path(), &Gaussians::empty(3), Some(none)).unwrap();
     assert!(read_ply(&scratch.path()).unwrap().gaussians.is_empty());
-    let error = write_ply(&scratch.path(), &some_gaussians(2, 1), Some(&[m])).unwrap_err();
+    let error =
+        write_ply(&scratch.path(), &some_gaussians(2, 1), Some(Tracked { covariances: &[m], ids: &[1] }))
+            .unwrap_err();
     assert!(matches!(error.problem, Problem::Shape(_)));
 }
 

@@ -155,8 +155,7 @@ impl Adam {
         for (i, step) in self.steps.iter_mut().enumerate() {
             *step += u32::from(update.includes(i));
         }
-        let shared =
-            Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon: EPSILON };
+        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon: EPSILON };
         let (p, g, m, v) = (gaussians, gradient, &mut self.first, &mut self.second);
         macro_rules! column {
             ($field:ident, $rates:expr) => {

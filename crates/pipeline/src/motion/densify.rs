@@ -14,6 +14,7 @@ pub(super) fn densify(input: &MotionInput, dynamic: &mut Dynamic, outcome: &mut 
     let seed = input.config.seed ^ (input.frame as u64) << 32;
     apply_densification(&mut dynamic.gaussians, &mut dynamic.covariances, &plan, seed);
     dynamic.steps.extend(plan.iter().map(|p| dynamic.steps[p.0]).collect::<Vec<_>>());
+    dynamic.number_new();
     outcome.previous.extend(plan.iter().map(|p| outcome.previous[p.0]).collect::<Vec<_>>());
     add_seconds(&mut outcome.seconds.fusion, start);
 }

@@ -35,6 +35,7 @@ pub(super) fn validate_positions(
     dynamic.gaussians = dynamic.gaussians.select(&kept);
     dynamic.covariances = kept.iter().map(|&i| dynamic.covariances[i]).collect();
     dynamic.steps = kept.iter().map(|&i| means[i] - outcome.previous[i]).collect();
+    dynamic.ids = kept.iter().map(|&i| dynamic.ids[i]).collect();
     outcome.previous = kept.iter().map(|&i| outcome.previous[i]).collect();
     add_seconds(&mut outcome.seconds.validation, start);
     Ok(())
