@@ -83,7 +83,7 @@ impl Lane<'_> {
             self.workspace.fit(scene, &self.targets, OPTIONS)?;
         }
         let sky = GpuSky::new(gpu, around.sky)?;
-        sky.prepare(gpu, 0.0, 1.0);
+        sky.prepare(gpu, 0.0, 1.0, 1.0);
         for (target, view) in self.targets.iter().zip(views) {
             let weight = self.config.outside_alpha / view.mask.count() as f32;
             let weight = gpu.uniform("penalty", &[weight, 0.0, 0.0, 0.0])?;
