@@ -9,8 +9,8 @@ use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{backward, prepare, render};
 use ffgs_trainer::{
-    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, SKY_DOUBT, decay,
-    density_config, reset_opacities,
+    DensityControl, Epochs, FirstFrame, FirstFrameConfig, IndexMap, LearningRates, Progress, SKY_DOUBT,
+    decay, density_config, reset_opacities,
 };
 
 /// Trains frame 0 from `start`, as [`ffgs_trainer::train_first_frame`] does.
