@@ -271,21 +271,6 @@ mod tests {
         (0.5 + 0.3 * d).to_array()
     }
 
-    /// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
-    fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
-        let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
-        let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
-        let direction = match texel / (face_size * face_size) {
-            0 => Vec3::new(1.0, -t, -s),
-            1 => Vec3::new(-1.0, -t, s),
-            2 => Vec3::new(s, 1.0, t),
-            3 => Vec3::new(s, -1.0, -t),
-            4 => Vec3::new(s, -t, 1.0),
-            _ => Vec3::new(-s, -t, -1.0),
-        };
-        direction.normalize()
-    }
-
     fn painted(face_size: usize) -> SkyCube {
         let mut cube = SkyCube::filled(face_size, [0.5; 3]);
         for (i, texel) in cube.texels.iter_mut().enumerate() {
