@@ -121,6 +121,15 @@ impl Capture {
         pixels::read_rgb(&self.image_path(split, view, frame)?, size)
     }
 
+    /// Checks that the image is there, has the size of its camera and is not cut off, without decoding it.
+    ///
+    /// # Errors
+    /// As [`Capture::load_image`]; damage inside the file is found only by that.
+    pub fn probe_image(&self, split: Split, view: usize, frame: usize) -> Result<(), DatasetError> {
+        let size = self.camera(split, view, frame)?.size();
+        pixels::probe(&self.image_path(split, view, frame)?, size)
+    }
+
     /// Reads a foreground mask of the size of its camera; `None` when the capture has no mask for this image.
     pub fn load_mask(&self, split: Split, view: usize, frame: usize) -> Result<Option<Mask>, DatasetError> {
         let size = self.camera(split, view, frame)?.size();

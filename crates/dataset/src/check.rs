@@ -6,13 +6,26 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Below this no motion can be triangulated.
 const MIN_TRAIN_VIEWS: usize = 2;
 
+/// How images are checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageCheck {
+    /// Every image is decoded.
+    Decode,
+    /// Size and completeness only ([`Capture::probe_image`]): for a caller that decodes them later anyway.
+    Probe,
+}
+
 /// Reads every file of the capture, in parallel, and lists what it holds and what is wrong.
 pub fn check(capture: &Capture) -> CheckReport {
-    check_with_progress(capture, &|_, _| ())
+    check_with_progress(capture, ImageCheck::Decode, &|_, _| ())
 }
 
 /// As [`check`]; calls `progress(done, total)` after every image, from any thread.
-pub fn check_with_progress(capture: &Capture, progress: &(dyn Fn(usize, usize) + Sync)) -> CheckReport {
+pub fn check_with_progress(
+    capture: &Capture,
+    images: ImageCheck,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> CheckReport {
     let mut report = CheckReport { root: capture.root().to_owned(), ..CheckReport::default() };
     let points = check_points(capture, &mut report);
     let views: Vec<_> = Split::ALL
@@ -22,8 +35,8 @@ pub fn check_with_progress(capture: &Capture, progress: &(dyn Fn(usize, usize) +
     let total = views.iter().map(|(split, _)| capture.frames_of(*split)).sum();
     let done = AtomicUsize::new(0);
     let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-    let checked: Vec<_> =
-        views.into_par_iter().map(|(split, view)| check_view(capture, split, view, &points, &tick)).collect();
+    let checker = Checker { capture, images, points: &points, tick: &tick };
+    let checked: Vec<_> = views.into_par_iter().map(|(split, view)| checker.view(split, view)).collect();
     for (summary, faults) in checked {
         report.views.push(summary);
         report.faults.extend(faults);
@@ -57,62 +70,71 @@ fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
     points
 }
 
-fn check_view(
-    capture: &Capture,
-    split: Split,
-    view: usize,
-    points: &PointCloud,
-    tick: &(dyn Fn() + Sync),
-) -> (ViewSummary, Vec<Fault>) {
-    let frames = capture.frames_of(split);
-    let mut summary = empty_summary(capture, split, view, points);
-    let mut faults = Vec::new();
-    for frame in 0..frames {
-        if let Err(error) = check_frame(capture, split, view, frame, &mut summary, &mut faults) {
-            faults.push(fault(&file_of(&error, capture), &error));
+/// What the check of a view needs.
+struct Checker<'a> {
+    capture: &'a Capture,
+    images: ImageCheck,
+    points: &'a PointCloud,
+    tick: &'a (dyn Fn() + Sync),
+}
+
+impl Checker<'_> {
+    fn view(&self, split: Split, view: usize) -> (ViewSummary, Vec<Fault>) {
+        let mut summary = self.empty_summary(split, view);
+        let mut faults = Vec::new();
+        for frame in 0..self.capture.frames_of(split) {
+            if let Err(error) = self.frame(split, view, frame, &mut summary, &mut faults) {
+                faults.push(fault(&file_of(&error, self.capture), &error));
+            }
+            (self.tick)();
         }
-        tick();
+        summary.coverage /= summary.masks.max(1) as f64;
+        (summary, faults)
     }
-    summary.coverage /= summary.masks.max(1) as f64;
-    (summary, faults)
-}
 
-fn empty_summary(capture: &Capture, split: Split, view: usize, points: &PointCloud) -> ViewSummary {
-    let camera = capture.camera(split, view, 0).ok();
-    let seen = |p: &&[f32; 3]| camera.as_ref().is_some_and(|c| c.pixel_of(p.map(f64::from).into()).is_some());
-    ViewSummary {
-        split,
-        name: capture.views(split)[view].name.clone(),
-        frames: capture.frames_of(split),
-        size: camera.as_ref().map(ffgs_core::Camera::size),
-        images: 0,
-        masks: 0,
-        empty_masks: 0,
-        coverage: 0.0,
-        points_seen: points.positions.iter().filter(seen).count(),
+    fn empty_summary(&self, split: Split, view: usize) -> ViewSummary {
+        let capture = self.capture;
+        let camera = capture.camera(split, view, 0).ok();
+        let seen =
+            |p: &&[f32; 3]| camera.as_ref().is_some_and(|c| c.pixel_of(p.map(f64::from).into()).is_some());
+        ViewSummary {
+            split,
+            name: capture.views(split)[view].name.clone(),
+            frames: capture.frames_of(split),
+            size: camera.as_ref().map(ffgs_core::Camera::size),
+            images: 0,
+            masks: 0,
+            empty_masks: 0,
+            coverage: 0.0,
+            points_seen: self.points.positions.iter().filter(seen).count(),
+        }
     }
-}
 
-/// Reads image and mask of a frame; a bad image does not hide a bad mask.
-fn check_frame(
-    capture: &Capture,
-    split: Split,
-    view: usize,
-    frame: usize,
-    summary: &mut ViewSummary,
-    faults: &mut Vec<Fault>,
-) -> Result<(), DatasetError> {
-    capture.camera(split, view, frame)?;
-    match capture.load_image(split, view, frame) {
-        Ok(_) => summary.images += 1,
-        Err(error) => faults.push(fault(&file_of(&error, capture), &error)),
+    /// Reads image and mask of a frame; a bad image does not hide a bad mask.
+    fn frame(
+        &self,
+        split: Split,
+        view: usize,
+        frame: usize,
+        summary: &mut ViewSummary,
+        faults: &mut Vec<Fault>,
+    ) -> Result<(), DatasetError> {
+        self.capture.camera(split, view, frame)?;
+        let image = match self.images {
+            ImageCheck::Decode => self.capture.load_image(split, view, frame).map(|_| ()),
+            ImageCheck::Probe => self.capture.probe_image(split, view, frame),
+        };
+        match image {
+            Ok(()) => summary.images += 1,
+            Err(error) => faults.push(fault(&file_of(&error, self.capture), &error)),
+        }
+        if let Some(mask) = self.capture.load_mask(split, view, frame)? {
+            summary.masks += 1;
+            summary.empty_masks += usize::from(mask.count() == 0);
+            summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
+        }
+        Ok(())
     }
-    if let Some(mask) = capture.load_mask(split, view, frame)? {
-        summary.masks += 1;
-        summary.empty_masks += usize::from(mask.count() == 0);
-        summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
-    }
-    Ok(())
 }
 
 fn check_splits(capture: &Capture, report: &mut CheckReport) {

@@ -19,7 +19,7 @@ mod points;
 mod report;
 
 pub use capture::{Capture, Split, View};
-pub use check::{check, check_with_progress};
+pub use check::{ImageCheck, check, check_with_progress};
 pub use error::DatasetError;
 pub use points::PointCloud;
 pub use report::{CheckReport, Fault, Note, SplitSummary, ViewSummary};

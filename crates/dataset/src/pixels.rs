@@ -3,7 +3,7 @@ use crate::meta::io_error;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use image::{DynamicImage, ImageReader, Limits};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 /// Decoder memory; an 8K image of 16-bit RGBA takes a quarter of it.
@@ -26,6 +26,32 @@ pub(crate) fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetErr
     Ok(Mask::new(size, data).expect("decode checked the size"))
 }
 
+/// Last bytes of a whole PNG (the empty IEND chunk with its checksum) and of a whole JPEG (end of image).
+const ENDS: [&[u8]; 2] = [b"\0\0\0\0IEND\xaeB`\x82", b"\xff\xd9"];
+
+/// Checks that an image of `size` begins and ends as it should, without decoding it; where the end tells nothing, it is
+/// decoded.
+pub(crate) fn probe(file: &Path, size: ImageSize) -> Result<(), DatasetError> {
+    let bytes = std::fs::read(file).map_err(|source| io_error(file, source))?;
+    if !ENDS.iter().any(|end| bytes.ends_with(end)) {
+        return decode(file, size).map(|_| ());
+    }
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+    let reader = reader.map_err(|source| io_error(file, source))?;
+    let damaged = |e: image::ImageError| DatasetError::Image { file: file.to_owned(), reason: e.to_string() };
+    let (width, height) = reader.into_dimensions().map_err(damaged)?;
+    require_size(file, size, width, height)
+}
+
+fn require_size(file: &Path, expected: ImageSize, width: u32, height: u32) -> Result<(), DatasetError> {
+    let found = ImageSize { width: width as usize, height: height as usize };
+    if found == expected {
+        Ok(())
+    } else {
+        Err(DatasetError::ImageSize { file: file.to_owned(), expected, found })
+    }
+}
+
 fn decode(file: &Path, size: ImageSize) -> Result<DynamicImage, DatasetError> {
     let opened = File::open(file).map_err(|source| io_error(file, source))?;
     let reader = ImageReader::new(BufReader::new(opened)).with_guessed_format();
@@ -35,10 +61,6 @@ fn decode(file: &Path, size: ImageSize) -> Result<DynamicImage, DatasetError> {
     reader.limits(limits);
     let damaged = |e: image::ImageError| DatasetError::Image { file: file.to_owned(), reason: e.to_string() };
     let image = reader.decode().map_err(damaged)?;
-    let found = ImageSize { width: image.width() as usize, height: image.height() as usize };
-    if found == size {
-        Ok(image)
-    } else {
-        Err(DatasetError::ImageSize { file: file.to_owned(), expected: size, found })
-    }
+    require_size(file, size, image.width(), image.height())?;
+    Ok(image)
 }

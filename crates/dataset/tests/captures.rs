@@ -1,7 +1,7 @@
 //! A small synthetic capture, and every way in which it can be wrong.
 
 use ffgs_arrays::NpzWriter;
-use ffgs_dataset::{Capture, CheckReport, DatasetError, Split, check};
+use ffgs_dataset::{Capture, CheckReport, DatasetError, ImageCheck, Split, check, check_with_progress};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -98,6 +98,28 @@ fn missing_truncated_and_resized_images_are_faults() {
     assert_fault(folder.path(), "b/000001.png: image is 5 x 2, but its camera is 4 x 2");
     fs::remove_file(&image).unwrap();
     assert_fault(folder.path(), "b/000001.png: No such file");
+}
+
+/// An image that is not decoded is still known to be missing, cut off at any byte, empty or of another size.
+#[test]
+fn a_probe_finds_what_a_broken_copy_leaves() {
+    let folder = capture();
+    let image = folder.path().join("ims/b/000001.png");
+    let capture = Capture::open(folder.path()).unwrap();
+    let probe = || capture.probe_image(Split::Train, 1, 1);
+    probe().unwrap();
+    let bytes = fs::read(&image).unwrap();
+    for length in 0..bytes.len() - 12 {
+        fs::write(&image, &bytes[..length]).unwrap();
+        assert!(matches!(probe(), Err(DatasetError::Image { .. })), "{length}");
+    }
+    fs::write(&image, [&bytes[..], b"appended"].concat()).unwrap();
+    probe().unwrap();
+    save(&image, &image::RgbImage::new(5, 2).into());
+    assert!(matches!(probe(), Err(DatasetError::ImageSize { .. })));
+    fs::remove_file(&image).unwrap();
+    let report = check_with_progress(&capture, ImageCheck::Probe, &|_, _| ()).to_string();
+    assert!(report.contains("b/000001.png: No such file"), "{report}");
 }
 
 #[test]

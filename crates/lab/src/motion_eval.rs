@@ -5,7 +5,7 @@ use crate::evaluation::{Evaluation, FlowErrors, SourceArgs};
 use anyhow::Result;
 use clap::Args;
 use ffgs_motion_eval::{BINS_CM, FlowSummary, NOMINAL, Row, Summary, summarise, table};
-use ffgs_pipeline::record::{publish, write_json};
+use ffgs_pipeline::record::{Metrics, publish, write_json};
 use ffgs_pipeline::render::{FinishedRun, progress};
 use ffgs_report::{MotionAccuracy, StageSeconds};
 use serde::Serialize;
@@ -109,7 +109,7 @@ fn add_to_report(run: &Path, capture: &Path, all: &Cells) -> Result<()> {
     let accuracy: Vec<MotionAccuracy> =
         all.iter().filter_map(|(name, parts)| Some(accuracy(name, parts.get("bodies")?))).collect();
     write_json(&run.folder.motion_accuracy(), &accuracy)?;
-    publish(&run.folder, &run.manifest, &run.capture, run.records()?)?;
+    publish(&run.folder, &run.manifest, &Metrics::of(run.records()?))?;
     println!("plots: {}", run.folder.0.join("report.html").display());
     Ok(())
 }

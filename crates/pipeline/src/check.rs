@@ -3,7 +3,7 @@
 
 use anyhow::Result;
 use ffgs_core::ImageSize;
-use ffgs_dataset::{Capture, CheckReport, Fault, Note, Split, check_with_progress};
+use ffgs_dataset::{Capture, CheckReport, Fault, ImageCheck, Note, Split, check_with_progress};
 use ffgs_tracks::{TrackStore, TracksFault, TracksReport};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
@@ -36,14 +36,14 @@ impl fmt::Display for CaptureCheck {
     }
 }
 
-/// Reads every file of the capture and its trackers. The bar (unless `quiet`) counts images.
+/// Reads every file of the capture and its trackers; images as `images` says. The bar (unless `quiet`) counts images.
 ///
 /// # Errors
 /// When the capture cannot be opened at all; the message names file and fix.
-pub fn check_capture(root: &Path, quiet: bool) -> Result<CaptureCheck> {
+pub fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Result<CaptureCheck> {
     let capture = Capture::open(root).map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?;
     let bar = progress_bar(quiet);
-    let mut content = check_with_progress(&capture, &|done, total| {
+    let mut content = check_with_progress(&capture, images, &|done, total| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     });

@@ -2,11 +2,12 @@
 
 use crate::cli::EvalArgs;
 use crate::lanes::Lanes;
-use crate::record::{FrameRecord, ViewMetrics, publish, read_json, write_json};
+use crate::record::{FrameRecord, Metrics, ViewMetrics, publish, read_json, write_json};
 use crate::render::{FinishedRun, progress};
-use crate::scoring::score;
+use crate::scoring::{load_tests, score};
 use anyhow::{Result, bail};
 use ffgs_dataset::Split;
+use ffgs_report::FramePictures;
 
 /// Renders and measures the test views of every finished frame, and writes metrics and report again.
 pub fn eval(args: &EvalArgs) -> Result<()> {
@@ -20,15 +21,20 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record: FrameRecord = read_json(&folder.record(frame))?;
-        record.views = score(capture, &run.scene(frame)?, frame, &folder.frame(frame), Lanes(&gpus))?;
+        let truths = load_tests(capture, frame)?;
+        let scene = run.scene(frame)?;
+        let file = folder.pictures(frame);
+        let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
+        (record.views, pictures.views) =
+            score(capture, &scene, &truths, &folder.frame(frame), Lanes(&gpus))?;
         write_json(&folder.record(frame), &record)?;
+        write_json(&file, &pictures)?;
         records.push(record);
         bar.inc(1);
     }
     bar.finish_and_clear();
     print!("{}", table(&records));
-    publish(folder, &run.manifest, capture, records)?;
-    Ok(())
+    publish(folder, &run.manifest, &Metrics::of(records))
 }
 
 /// One row a frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.

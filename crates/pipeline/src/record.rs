@@ -2,7 +2,6 @@
 
 use crate::manifest::Manifest;
 use anyhow::{Context, Result};
-use ffgs_dataset::{Capture, Split};
 use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
@@ -103,7 +102,20 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
 impl Metrics {
     /// Summarises finished frames.
     pub fn of(frames: Vec<FrameRecord>) -> Self {
-        Self { mean: summarise(&frames, |_| true), mean_trackside: summarise(&frames, |v| v.fixed), frames }
+        let mut metrics = Self { frames, ..Self::default() };
+        metrics.summarise();
+        metrics
+    }
+
+    /// Adds a finished frame.
+    pub fn push(&mut self, frame: FrameRecord) {
+        self.frames.push(frame);
+        self.summarise();
+    }
+
+    fn summarise(&mut self) {
+        self.mean = summarise(&self.frames, |_| true);
+        self.mean_trackside = summarise(&self.frames, |v| v.fixed);
     }
 }
 
@@ -125,6 +137,11 @@ impl RunFolder {
     /// The frame's numbers.
     pub fn record(&self, frame: usize) -> PathBuf {
         self.frame(frame).join("frame.json")
+    }
+
+    /// The frame's encoded pictures, a [`ffgs_report::FramePictures`].
+    pub fn pictures(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("pictures.json")
     }
 
     /// How near to the truth the motion initialisation was, once `ffgs-lab motion-eval --run` has scored it.
@@ -154,20 +171,10 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
         .with_context(|| format!("{} is damaged; remove it and resume", path.display()))
 }
 
-/// Writes `metrics.json` and `report.html`.
-pub fn publish(
-    folder: &RunFolder,
-    manifest: &Manifest,
-    capture: &Capture,
-    frames: Vec<FrameRecord>,
-) -> Result<Metrics> {
-    let ground_truth = |camera: &str, frame: usize| {
-        let view = capture.views(Split::Test).iter().position(|v| v.name == camera).unwrap_or(0);
-        capture.image_path(Split::Test, view, frame).unwrap_or_default()
-    };
+/// Writes `metrics.json` and `report.html`. The report copies the encoded pictures of each frame from its folder.
+pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Result<()> {
     let mut facts = manifest.facts();
-    let metrics = Metrics::of(frames);
-    write_json(&folder.0.join("metrics.json"), &metrics)?;
+    write_json(&folder.0.join("metrics.json"), metrics)?;
     let mut skips = BTreeMap::<String, u64>::new();
     for (what, count) in metrics.frames.iter().flat_map(|f| &f.skips) {
         *skips.entry(what.clone()).or_default() += count;
@@ -181,7 +188,7 @@ pub fn publish(
         title: format!("fastflowgs: {}", manifest.capture),
         configuration: manifest.config.to_toml()?,
         facts,
-        frames: metrics.frames.iter().map(|f| frame_report(folder, f, &ground_truth)).collect(),
+        frames: metrics.frames.iter().map(|f| frame_report(folder, f)).collect(),
         skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
         warnings: metrics
             .frames
@@ -189,33 +196,24 @@ pub fn publish(
             .flat_map(|f| f.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
             .collect(),
     };
-    ffgs_report::write_report(&folder.0.join("report.html"), &input)?;
-    Ok(metrics)
+    Ok(ffgs_report::write_report(&folder.0.join("report.html"), &input)?)
 }
 
-fn frame_report(folder: &RunFolder, f: &FrameRecord, truth: &impl Fn(&str, usize) -> PathBuf) -> FrameReport {
-    let at = folder.frame(f.frame);
-    let picture = |name: &str| Some(at.join(name)).filter(|p| p.exists());
+fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
+    let view = |v: &ViewMetrics| ViewReport {
+        name: v.camera.clone(),
+        psnr: Some(v.psnr),
+        mpsnr: v.mpsnr,
+        ssim: Some(v.ssim),
+    };
     FrameReport {
         index: f.frame,
-        views: f
-            .views
-            .iter()
-            .map(|v| ViewReport {
-                name: v.camera.clone(),
-                psnr: Some(v.psnr),
-                mpsnr: v.mpsnr,
-                ssim: Some(v.ssim),
-                ground_truth: truth(&v.camera, f.frame),
-                render: at.join(format!("test/{}.png", v.camera)),
-            })
-            .collect(),
+        views: f.views.iter().map(view).collect(),
         initial_mpsnr: f.initial_mpsnr,
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,
         bytes: f.bytes,
         seconds: f.seconds,
-        motion: picture("motion.png"),
-        uncertainty: picture("uncertainty.png"),
+        pictures: Some(folder.pictures(f.frame)).filter(|path| path.exists()),
     }
 }

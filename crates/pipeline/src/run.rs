@@ -1,5 +1,6 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
+use crate::check::check_capture;
 use crate::cli::{FrameRange, Init};
 use crate::config::Config;
 use crate::console::Console;
@@ -8,16 +9,20 @@ use crate::frame::{TrainViews, cameras_and_masks, load_training, load_view};
 use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
 use crate::motion::{MotionInput, MotionOutcome, initialise, pixel_sizes};
-use crate::record::{FrameRecord, RunFolder, publish, read_json, write_json};
-use crate::scoring::{mean_mpsnr, score, write_png};
+use crate::record::{FrameRecord, Metrics, RunFolder, publish, read_json, write_json};
+use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, TrainingView, spatial_order};
-use ffgs_dataset::{Capture, Split};
+use ffgs_dataset::{Capture, ImageCheck, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
+<<<<<<< HEAD
 use ffgs_report::{motion_picture, uncertainty_picture};
 use ffgs_splats::Tracked;
+=======
+use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
+>>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
 use std::ops::Range;
@@ -55,31 +60,28 @@ pub fn run(request: &RunRequest) -> Result<PathBuf> {
 }
 
 fn run_frames(job: &Job) -> Result<PathBuf> {
-    let request = job.request;
-    let mut console = Console::new(request.quiet, job.frames.clone());
-    let mut records = Vec::new();
-    let mut scene: Option<Scene> = None;
-    let mut static_lane = StaticLane::default();
-    for frame in job.frames.clone() {
-        if request.resume && job.folder.state(frame).exists() {
-            records.push(read_json(&job.folder.record(frame))?);
-            scene = Some(state::load(&job.folder.state(frame))?);
-            continue;
-        }
-        console.begin_frame(frame);
-        let (next, record) = match scene.take() {
-            None => job.first_frame(frame, &mut console)?,
-            Some(previous) => job.next_frame(frame, previous, &mut static_lane, &console)?,
-        };
-        console.end_frame(&record);
-        records.push(record);
-        scene = Some(next);
-        job.publish(&records)?;
+    let mut console = Console::new(job.request.quiet, job.frames.clone());
+    let (mut metrics, mut last) = job.finished_frames()?;
+    let result = job.frames_after(&mut metrics, &mut last, &mut console);
+    // Also when a frame failed: those before it are finished.
+    if result.is_ok() || !metrics.frames.is_empty() {
+        job.publish(&metrics)?;
     }
-    let metrics = job.publish(&records)?;
+    result?;
     console.finish(&metrics);
     Ok(job.folder.0.join("report.html"))
 }
+
+/// What one frame leaves for the next.
+struct Last {
+    scene: Scene,
+    /// Training views of that frame.
+    views: Vec<TrainingView>,
+}
+
+/// Publishing takes longer the more frames there are; between two times of it the run goes on for so many times what
+/// the first of them took, so that it takes at most a twentieth of the run.
+const PUBLISHING_INTERVAL: u32 = 20;
 
 struct Job<'a> {
     request: &'a RunRequest,
@@ -95,7 +97,8 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn open(request: &'a RunRequest) -> Result<Self> {
-        let check = crate::check::check_capture(&request.capture, request.quiet)?;
+        // Every frame decodes its images when it comes to them; once is enough.
+        let check = check_capture(&request.capture, ImageCheck::Probe, request.quiet)?;
         if !check.is_usable() {
             bail!("the capture cannot be used:\n{check}");
         }
@@ -126,32 +129,81 @@ impl<'a> Job<'a> {
         Lanes(&self.gpus)
     }
 
-    fn publish(&self, records: &[FrameRecord]) -> Result<crate::record::Metrics> {
-        publish(&self.folder, &self.manifest, &self.capture, records.to_vec())
+    fn publish(&self, metrics: &Metrics) -> Result<()> {
+        publish(&self.folder, &self.manifest, metrics)
+    }
+
+    /// On resume, the frames that are finished: their numbers, and what the last of them leaves.
+    fn finished_frames(&self) -> Result<(Metrics, Option<Last>)> {
+        let finished = |frame: &usize| self.request.resume && self.folder.state(*frame).exists();
+        let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
+        let records = frames.iter().map(|&frame| read_json(&self.folder.record(frame)));
+        let metrics = Metrics::of(records.collect::<Result<_>>()?);
+        let load = |&frame: &usize| -> Result<Last> {
+            let scene = state::load(&self.folder.state(frame))?;
+            Ok(Last { scene, views: load_training(&self.capture, &self.views, frame)? })
+        };
+        Ok((metrics, frames.last().map(load).transpose()?))
+    }
+
+    /// Runs the frames that are not in `metrics` yet.
+    fn frames_after(
+        &self,
+        metrics: &mut Metrics,
+        last: &mut Option<Last>,
+        console: &mut Console,
+    ) -> Result<()> {
+        let mut static_lane = StaticLane::default();
+        let mut publish_next = Instant::now();
+        for frame in self.frames.clone().skip(metrics.frames.len()) {
+            console.begin_frame(frame);
+            let (next, record) = match last.take() {
+                None => self.first_frame(frame, console)?,
+                Some(previous) => self.next_frame(frame, previous, &mut static_lane, console)?,
+            };
+            console.end_frame(&record);
+            metrics.push(record);
+            *last = Some(next);
+            let start = Instant::now();
+            if start >= publish_next {
+                self.publish(metrics)?;
+                publish_next = Instant::now() + PUBLISHING_INTERVAL * start.elapsed();
+            }
+        }
+        Ok(())
     }
 
     /// Frame 0: all layers together, then the split.
-    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Scene, FrameRecord)> {
+    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
+        let mut views = load_training(&self.capture, &self.views, frame)?;
         let scene = if let Some(run) = &self.request.first_frame {
             state::load(&RunFolder(run.clone()).state(frame))
                 .context("--first-frame: not a run of this capture")?
         } else {
-            let views = load_training(&self.capture, &self.views, frame)?;
-            let mut training = views.clone();
+            let count = views.len();
             if frame == 0 {
                 for v in 0..self.capture.views(Split::Init).len() {
-                    training.push(load_view(&self.capture, Split::Init, v, 0)?);
+                    views.push(load_view(&self.capture, Split::Init, v, 0)?);
                 }
             }
             record.seconds.load = Some(start.elapsed().as_secs_f64());
+<<<<<<< HEAD
             let trained = self.train_all(&training, console)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views);
             self.split(&trained.gaussians, sky, &views, &training)?
+=======
+            let trained = self.train_all(&views, console)?;
+            let scene = self.split(&trained.gaussians, trained.sky, &views[..count], &views)?;
+            views.truncate(count);
+            scene
+>>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
         };
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
-        self.finish(frame, scene, record)
+        let truths = load_tests(&self.capture, frame)?;
+        let record = self.finish(frame, &scene, &truths, FramePictures::default(), record)?;
+        Ok((Last { scene, views }, record))
     }
 
     fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
@@ -198,12 +250,12 @@ impl<'a> Job<'a> {
     fn next_frame(
         &self,
         frame: usize,
-        mut scene: Scene,
+        last: Last,
         static_lane: &mut StaticLane,
         console: &Console,
-    ) -> Result<(Scene, FrameRecord)> {
+    ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
-        let before = load_training(&self.capture, &self.views, frame - 1)?;
+        let Last { mut scene, views: before } = last;
         let now = load_training(&self.capture, &self.views, frame)?;
         let loading = start.elapsed().as_secs_f64();
         let input = MotionInput {
@@ -218,17 +270,21 @@ impl<'a> Job<'a> {
             gpu: self.gpus.first(),
         };
         let motion = initialise(&input, &mut scene.dynamic)?;
+        drop(before);
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         record.seconds = motion.seconds;
         record.seconds.load = Some(loading + motion.seconds.load.unwrap_or(0.0));
         record.skips.clone_from(&motion.skips);
         record.warnings.clone_from(&motion.warnings);
-        self.write_pictures(frame, &scene.dynamic, &motion, &now)?;
-        let initialised = scene.clone();
+        let measuring = Instant::now();
+        let pictures = self.motion_pictures(frame, &scene.dynamic, &motion, &now)?;
+        let truths = load_tests(&self.capture, frame)?;
+        record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.lanes())?;
+        let measuring = measuring.elapsed().as_secs_f64();
         self.finetune(frame, &mut scene, static_lane, &now, console, &mut record)?;
-        record.seconds.wall = Some(start.elapsed().as_secs_f64());
-        record.initial_mpsnr = mean_mpsnr(&self.capture, &initialised, frame, self.lanes())?;
-        self.finish(frame, scene, record)
+        record.seconds.wall = Some(start.elapsed().as_secs_f64() - measuring);
+        let record = self.finish(frame, &scene, &truths, pictures, record)?;
+        Ok((Last { scene, views: now }, record))
     }
 
     /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
@@ -275,26 +331,39 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    fn write_pictures(
+    /// Motion and uncertainty over the photograph that shows most of the foreground.
+    fn motion_pictures(
         &self,
         frame: usize,
         dynamic: &Dynamic,
         motion: &MotionOutcome,
         views: &[TrainingView],
-    ) -> Result<()> {
+    ) -> Result<FramePictures> {
         let Some(best) = views.iter().max_by_key(|v| v.mask.count()).filter(|v| v.mask.count() > 0) else {
-            return Ok(());
+            return Ok(FramePictures::default());
         };
         let (camera, image): (_, &ImageRgb8) = (&best.camera, &best.image);
         let now = dynamic.gaussians.positions();
-        let folder = self.folder.frame(frame);
-        write_png(&folder.join("motion.png"), &motion_picture(camera, &motion.previous, &now, image)?)?;
+        let thumbnails = thumbnails(&self.capture);
+        let save = |name: &str, picture: &ImageRgb8| -> Result<Option<String>> {
+            write_png(&self.folder.frame(frame).join(name), picture)?;
+            Ok(Some(thumbnails.encode(picture)?))
+        };
+        let motion = save("motion.png", &motion_picture(camera, &motion.previous, &now, image)?)?;
         let uncertainty = uncertainty_picture(camera, &now, &dynamic.covariances, image)?;
-        write_png(&folder.join("uncertainty.png"), &uncertainty)
+        let uncertainty = save("uncertainty.png", &uncertainty)?;
+        Ok(FramePictures { motion, uncertainty, ..FramePictures::default() })
     }
 
     /// Writes everything of a frame; the state comes last and marks the frame as finished.
-    fn finish(&self, frame: usize, scene: Scene, mut record: FrameRecord) -> Result<(Scene, FrameRecord)> {
+    fn finish(
+        &self,
+        frame: usize,
+        scene: &Scene,
+        truths: &[TrainingView],
+        mut pictures: FramePictures,
+        mut record: FrameRecord,
+    ) -> Result<FrameRecord> {
         let folder = self.folder.frame(frame);
         let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
         ffgs_splats::write_ply(&static_ply, &scene.static_layer, None)?;
@@ -302,16 +371,17 @@ impl<'a> Job<'a> {
         ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }))?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
-        record.views = score(&self.capture, &scene, frame, &folder, self.lanes())?;
+        (record.views, pictures.views) = score(&self.capture, scene, truths, &folder, self.lanes())?;
+        write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
         record.peak_memory_mib = crate::memory::peak_mib();
         record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
-        state::save(&self.folder.state(frame), frame, &scene)?;
+        state::save(&self.folder.state(frame), frame, scene)?;
         forget_motion_accuracy(&self.folder)?;
-        Ok((scene, record))
+        Ok(record)
     }
 }
 

@@ -6,6 +6,8 @@ use anyhow::{Context, Result};
 use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_dataset::{Capture, Split};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
+use ffgs_report::Thumbnails;
+use rayon::prelude::*;
 use std::path::Path;
 
 /// Depth-sorted renders of all layers over the sky.
@@ -38,20 +40,14 @@ fn is_fixed(capture: &Capture, view: usize) -> bool {
 }
 
 /// The test views of a frame.
-fn load_tests(capture: &Capture, frame: usize) -> Result<Vec<TrainingView>> {
+pub(crate) fn load_tests(capture: &Capture, frame: usize) -> Result<Vec<TrainingView>> {
     let load = |v: usize| crate::frame::load_view(capture, Split::Test, v, frame);
     (0..capture.views(Split::Test).len()).map(load).collect()
 }
 
-/// Mean foreground PSNR (dB) over the test views of `frame`, without pictures; `None` where nothing is in the foreground.
-pub(crate) fn mean_mpsnr(
-    capture: &Capture,
-    scene: &Scene,
-    frame: usize,
-    lanes: Lanes,
-) -> Result<Option<f64>> {
-    let mut truths = load_tests(capture, frame)?;
-    truths.retain(|truth| truth.mask.count() > 0);
+/// Mean foreground PSNR (dB) over the test views `truths`, without pictures; `None` where nothing is in the foreground.
+pub(crate) fn mean_mpsnr(scene: &Scene, truths: &[TrainingView], lanes: Lanes) -> Result<Option<f64>> {
+    let truths: Vec<&TrainingView> = truths.iter().filter(|truth| truth.mask.count() > 0).collect();
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
     let mut values = Vec::new();
     for (truth, rendered) in truths.iter().zip(render(scene, &cameras, lanes)?) {
@@ -60,28 +56,37 @@ pub(crate) fn mean_mpsnr(
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
 }
 
-/// Renders every test view of `frame` into `folder/test/CAMERA.png` and measures it.
+/// Renders the test views `truths` into `folder/test/CAMERA.png` and measures them. Returns the metrics and, for the
+/// report, ground truth, render and error of each view.
 pub(crate) fn score(
     capture: &Capture,
     scene: &Scene,
-    frame: usize,
+    truths: &[TrainingView],
     folder: &Path,
     lanes: Lanes,
-) -> Result<Vec<ViewMetrics>> {
-    let views = capture.views(Split::Test);
-    let truths = load_tests(capture, frame)?;
+) -> Result<(Vec<ViewMetrics>, Vec<[String; 3]>)> {
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
-    let pictures = render(scene, &cameras, lanes)?;
-    let mut all = Vec::new();
-    for (v, ((view, truth), rendered)) in views.iter().zip(&truths).zip(pictures).enumerate() {
-        write_png(&folder.join(format!("test/{}.png", view.name)), &ImageRgb8::from(&rendered))?;
-        all.push(ViewMetrics {
-            camera: view.name.clone(),
+    let rendered = render(scene, &cameras, lanes)?;
+    let thumbnails = thumbnails(capture);
+    let score = |(v, (truth, rendered)): (usize, (&TrainingView, PlanarImage))| {
+        let name = &capture.views(Split::Test)[v].name;
+        let picture = ImageRgb8::from(&rendered);
+        write_png(&folder.join(format!("test/{name}.png")), &picture)?;
+        let metrics = ViewMetrics {
+            camera: name.clone(),
             fixed: is_fixed(capture, v),
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
             ssim: image_ssim(&rendered, &truth.image)?,
-        });
-    }
-    Ok(all)
+        };
+        let pictures = thumbnails.view(&truth.image, &picture)?.context("a render has its camera's size")?;
+        Ok((metrics, pictures))
+    };
+    let views: Vec<_> = truths.iter().zip(rendered).enumerate().collect();
+    Ok(views.into_par_iter().map(score).collect::<Result<Vec<_>>>()?.into_iter().unzip())
+}
+
+/// Sized for a run over the whole capture, whichever frames were asked for: resuming with more of them keeps the size.
+pub(crate) fn thumbnails(capture: &Capture) -> Thumbnails {
+    Thumbnails::for_run(capture.frames(), capture.views(Split::Test).len())
 }

@@ -2,11 +2,10 @@
 
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
 use ffgs_report::{
-    Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, ViewReport, motion_picture,
-    uncertainty_picture, write_report,
+    Fact, FramePictures, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, Thumbnails,
+    ViewReport, motion_picture, uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
-use image::{Rgb, RgbImage};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
@@ -34,20 +33,28 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn frame(folder: &Path, i: usize) -> Result<FrameReport, Box<dyn Error>> {
-    let views = ["trackside_01", "drone"].map(|name| view(folder, name, i));
-    let views = views.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let overlays = if i == 0 { [None, None] } else { overlays(folder, i)?.map(Some) };
-    let [motion, uncertainty] = overlays;
+    let ball = 120.0 + 30.0 * i as f64;
+    let (truth, render) = (scene(ball, 0.0), scene(ball + 2.0, 0.6));
+    let thumbnails = Thumbnails::for_run(FRAMES, 2);
+    let images = thumbnails.view(&truth, &render)?.ok_or("size")?;
+    let overlays = if i == 0 { Vec::new() } else { overlays(&truth, i)? };
+    let mut overlays = overlays.iter().map(|picture| thumbnails.encode(picture));
+    let pictures = FramePictures {
+        views: vec![images.clone(), images],
+        motion: overlays.next().transpose()?,
+        uncertainty: overlays.next().transpose()?,
+    };
+    let path = folder.join(format!("{i}.json"));
+    std::fs::write(&path, serde_json::to_vec(&pictures)?)?;
     Ok(FrameReport {
         index: i,
-        views,
+        views: ["trackside_01", "drone"].map(|name| view(name, i)).into(),
         initial_mpsnr: (i > 0).then_some(19.0 - 0.1 * i as f64),
         static_gaussians: 41_200,
         dynamic_gaussians: 5_000 + 90 * i,
         bytes: 11_500_000,
         seconds: seconds(i as f64),
-        motion,
-        uncertainty,
+        pictures: Some(path),
     })
 }
 
@@ -83,10 +90,11 @@ fn seconds(i: f64) -> StageSeconds {
     }
 }
 
-fn scene(ball: f64, noise: f64) -> RgbImage {
-    RgbImage::from_fn(SIZE.width as u32, SIZE.height as u32, |x, y| {
-        let (u, v) = (f64::from(x), f64::from(y));
-        let grain = noise * (f64::from((x * 7919 + y * 104_729) % 31) - 15.0);
+fn scene(ball: f64, noise: f64) -> ImageRgb8 {
+    let pixel = |i: usize| {
+        let (x, y) = (i % SIZE.width, i / SIZE.width);
+        let (u, v) = (x as f64, y as f64);
+        let grain = noise * (((x * 7919 + y * 104_729) % 31) as f64 - 15.0);
         let colour = if (u - ball).hypot(v - 150.0) < 45.0 {
             [210.0 - 0.5 * (v - 105.0), 60.0, 40.0]
         } else if v < 120.0 {
@@ -94,27 +102,24 @@ fn scene(ball: f64, noise: f64) -> RgbImage {
         } else {
             [0.5 * v; 3]
         };
-        Rgb(colour.map(|c: f64| (c + grain) as u8))
-    })
+        colour.map(|c: f64| (c + grain) as u8)
+    };
+    let data = (0..SIZE.pixels()).flat_map(pixel).collect();
+    ImageRgb8::new(SIZE, data).expect("three bytes per pixel")
 }
 
-fn view(folder: &Path, name: &str, i: usize) -> Result<ViewReport, Box<dyn Error>> {
-    let path = |kind: &str| folder.join(format!("{name}_{kind}_{i}.png"));
-    let ball = 120.0 + 30.0 * i as f64;
-    scene(ball, 0.0).save(path("truth"))?;
-    scene(ball + 2.0, 0.6).save(path("render"))?;
+fn view(name: &str, i: usize) -> ViewReport {
     let drop = 0.2 * i as f64 + if name == "drone" { 1.7 } else { 0.0 };
-    Ok(ViewReport {
+    ViewReport {
         name: name.into(),
         psnr: Some(27.4 - drop + 0.3 * (i as f64).sin()),
         mpsnr: (i != 5).then_some(21.3 - drop),
         ssim: Some(0.91 - 0.01 * drop),
-        ground_truth: path("truth"),
-        render: path("render"),
-    })
+    }
 }
 
-fn overlays(folder: &Path, i: usize) -> Result<[PathBuf; 2], Box<dyn Error>> {
+/// Motion and uncertainty of a ball that spins and moves to the right.
+fn overlays(background: &ImageRgb8, i: usize) -> Result<Vec<ImageRgb8>, Box<dyn Error>> {
     let intrinsics = Intrinsics { fx: 400.0, fy: 400.0, cx: 240.0, cy: 135.0 };
     let camera = Camera::new(intrinsics, DMat4::IDENTITY, SIZE)?;
     let centre = DVec3::new((120.0 + 30.0 * i as f64 - 240.0) / 40.0, 0.375, 10.0);
@@ -124,19 +129,8 @@ fn overlays(folder: &Path, i: usize) -> Result<[PathBuf; 2], Box<dyn Error>> {
     let now: Vec<DVec3> = sphere.iter().map(|p| centre + spin * *p).collect();
     let variance = |p: &DVec3| DMat3::from_diagonal(DVec3::splat(1e-4 * (3.0 * p.x).exp()));
     let covariances: Vec<DMat3> = sphere.iter().map(variance).collect();
-    let background = ImageRgb8::new(SIZE, scene(120.0 + 30.0 * i as f64, 0.0).into_raw()).ok_or("size")?;
-    let pictures = [
-        ("motion", motion_picture(&camera, &prev, &now, &background)?),
-        ("uncertainty", uncertainty_picture(&camera, &now, &covariances, &background)?),
-    ];
-    let save = |(name, picture): (&str, ImageRgb8)| -> Result<PathBuf, Box<dyn Error>> {
-        let path = folder.join(format!("{name}_{i}.png"));
-        let (width, height) = (SIZE.width as u32, SIZE.height as u32);
-        RgbImage::from_raw(width, height, picture.data().to_vec()).ok_or("size")?.save(&path)?;
-        Ok(path)
-    };
-    let [motion, uncertainty] = pictures.map(save);
-    Ok([motion?, uncertainty?])
+    let motion = motion_picture(&camera, &prev, &now, background)?;
+    Ok(vec![motion, uncertainty_picture(&camera, &now, &covariances, background)?])
 }
 
 /// Spread evenly (golden angle).

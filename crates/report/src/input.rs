@@ -77,10 +77,9 @@ pub struct FrameReport {
     pub bytes: u64,
     /// Seconds per stage.
     pub seconds: StageSeconds,
-    /// Picture of the fused displacement ([`crate::motion_picture`]), if made.
-    pub motion: Option<PathBuf>,
-    /// Picture of the position uncertainty ([`crate::uncertainty_picture`]), if made.
-    pub uncertainty: Option<PathBuf>,
+    /// JSON file of the frame's [`crate::FramePictures`]; a frame without is shown without pictures.
+    #[serde(skip_serializing)]
+    pub pictures: Option<PathBuf>,
 }
 
 /// One test view of one frame. A metric is absent where it is not defined (an empty mask has no MPSNR).
@@ -95,10 +94,6 @@ pub struct ViewReport {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
-    /// Ground truth, an image file.
-    pub ground_truth: PathBuf,
-    /// Render, an image file of the same size.
-    pub render: PathBuf,
 }
 
 /// Seconds one frame spent in each stage; `None` where the stage did not run.

@@ -13,4 +13,4 @@ mod timing;
 pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
 pub use page::{ReportError, write_report};
-pub use picture::error_map;
+pub use picture::{FramePictures, Thumbnails, error_map};

@@ -1,11 +1,11 @@
 use crate::motion_plots::motion_plots;
 use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};
-use crate::{FrameReport, ReportInput, ViewReport, error_map, picture};
+use crate::{FrameReport, ReportInput, ViewReport, picture};
 use ffgs_core::write_atomically;
 use minijinja::Environment;
-use rayon::prelude::*;
 use serde::Serialize;
+use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -17,49 +17,23 @@ const SCRIPT: &str = include_str!("../templates/script.js");
 /// Why a report was not written.
 #[derive(Debug, Error)]
 pub enum ReportError {
-    /// A picture could not be read.
-    #[error("{}: {source}", .path.display())]
-    Picture {
-        /// The image file.
+    /// The file of a frame's pictures cannot be read.
+    #[error("{}: {source}; remove the frame's folder and resume, or run ffgs eval", .path.display())]
+    Pictures {
+        /// The file.
         path: PathBuf,
-        /// The decoder's word.
-        source: image::ImageError,
+        /// The system's reason.
+        source: io::Error,
     },
     /// A picture could not be encoded.
     #[error("cannot encode a picture: {0}")]
     Encode(image::ImageError),
-    /// A render is not of its ground truth's size.
-    #[error("{} and {} differ in size", .ground_truth.display(), .render.display())]
-    Size {
-        /// Ground truth.
-        ground_truth: PathBuf,
-        /// Render.
-        render: PathBuf,
-    },
     /// The template failed.
     #[error("report template: {0}")]
     Template(#[from] minijinja::Error),
     /// The file cannot be written.
     #[error("cannot write the report: {0}")]
     Io(#[from] io::Error),
-}
-
-/// What the script gets: pictures as `data:` URIs.
-#[derive(Serialize)]
-struct FramePictures {
-    index: usize,
-    views: Vec<ViewPictures>,
-    motion: Option<String>,
-    uncertainty: Option<String>,
-}
-
-#[derive(Serialize)]
-struct ViewPictures {
-    name: String,
-    psnr: Option<f64>,
-    mpsnr: Option<f64>,
-    ssim: Option<f64>,
-    images: [String; 3],
 }
 
 #[derive(Serialize)]
@@ -74,7 +48,6 @@ struct Page<'a> {
     input: &'a ReportInput,
     style: &'static str,
     script: &'static str,
-    pictures: Vec<FramePictures>,
     headlines: Vec<Headline>,
     plots: Vec<String>,
     motion_plots: Vec<String>,
@@ -82,15 +55,29 @@ struct Page<'a> {
     error_range: f64,
 }
 
-/// Writes the self-contained `report.html`, atomically. Reads every picture that `input` names; a missing one is an
-/// error that names it.
+/// Where the pictures go: [`write_report`] copies them into the rendered template as they are.
+const PICTURES: &str = "<!-- pictures -->";
+
+/// Writes the self-contained `report.html`, atomically. The pictures of each frame are copied from its file, so that a
+/// report that is written after every frame encodes none of them again.
+///
+/// # Errors
+/// [`ReportError::Pictures`] names a file that cannot be read, [`ReportError::Io`] is about the report itself.
 pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError> {
-    let pictures = input.frames.par_iter().map(frame_pictures).collect::<Result<Vec<_>, _>>()?;
+    let html = render(input)?;
+    let (head, tail) = html.split_once(PICTURES).unwrap_or((&html, ""));
+    write_atomically(path, |out| {
+        out.write_all(head.as_bytes())?;
+        input.frames.iter().try_for_each(|frame| embed(frame, out))?;
+        Ok(out.write_all(tail.as_bytes())?)
+    })
+}
+
+fn render(input: &ReportInput) -> Result<String, ReportError> {
     let page = Page {
         input,
         style: STYLE,
         script: SCRIPT,
-        pictures,
         headlines: headlines(&input.frames),
         plots: plots(&input.frames),
         motion_plots: motion_plots(&input.motion),
@@ -99,32 +86,16 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
     };
     let mut environment = Environment::new();
     environment.add_template("report.html", TEMPLATE)?;
-    let html = environment.get_template("report.html")?.render(minijinja::value::Serde(&page))?;
-    write_atomically(path, |out| out.write_all(html.as_bytes()))?;
-    Ok(())
+    Ok(environment.get_template("report.html")?.render(minijinja::value::Serde(&page))?)
 }
 
-fn frame_pictures(frame: &FrameReport) -> Result<FramePictures, ReportError> {
-    let embed = |path: &Option<PathBuf>| -> Result<Option<String>, ReportError> {
-        path.as_deref().map(|p| picture::data_uri(&picture::read(p)?)).transpose()
-    };
-    Ok(FramePictures {
-        index: frame.index,
-        views: frame.views.par_iter().map(view_pictures).collect::<Result<_, _>>()?,
-        motion: embed(&frame.motion)?,
-        uncertainty: embed(&frame.uncertainty)?,
-    })
-}
-
-fn view_pictures(view: &ViewReport) -> Result<ViewPictures, ReportError> {
-    let (ground_truth, render) = (picture::read(&view.ground_truth)?, picture::read(&view.render)?);
-    let error = error_map(&ground_truth, &render).ok_or_else(|| ReportError::Size {
-        ground_truth: view.ground_truth.clone(),
-        render: view.render.clone(),
-    })?;
-    let images = [picture::data_uri(&ground_truth)?, picture::data_uri(&render)?, picture::data_uri(&error)?];
-    let ViewReport { name, psnr, mpsnr, ssim, .. } = view.clone();
-    Ok(ViewPictures { name, psnr, mpsnr, ssim, images })
+/// A block of data per frame, which the script parses when the frame is shown.
+fn embed(frame: &FrameReport, out: &mut impl Write) -> Result<(), ReportError> {
+    let Some(path) = &frame.pictures else { return Ok(()) };
+    let mut file = File::open(path).map_err(|source| ReportError::Pictures { path: path.clone(), source })?;
+    write!(out, "<script type=\"application/json\" id=\"pictures-{}\">", frame.index)?;
+    io::copy(&mut file, out)?;
+    Ok(writeln!(out, "</script>")?)
 }
 
 type Metric = fn(&ViewReport) -> Option<f64>;

@@ -13,21 +13,31 @@ function score(label, value, digits, unit) {
   return value == null ? "" : `${label} ${value.toFixed(digits)}${unit}`;
 }
 
+// Parsed when a frame is first shown; a frame may have none.
+function picturesOf(frame) {
+  const data = at(`pictures-${frame.index}`);
+  frame.parsed ??= data ? JSON.parse(data.textContent) : { views: [] };
+  return frame.parsed;
+}
+
 function show() {
   const frame = frames[state.frame];
-  const view = frame.views.find((v) => v.name === names[state.view]);
+  const place = frame.views.findIndex((v) => v.name === names[state.view]);
+  const view = frame.views[place];
+  const pictures = picturesOf(frame);
+  const images = pictures.views[place];
   at("frame").value = state.frame;
   at("view").value = state.view;
   at("frame-name").textContent = `frame ${frame.index} (${state.frame + 1} of ${frames.length})`;
-  [0, 1, 2].forEach((i) => picture(at(`image-${i}`), view && view.images[i]));
+  [0, 1, 2].forEach((i) => picture(at(`image-${i}`), images && images[i]));
   const scores = view ? [score("PSNR", view.psnr, 2, " dB"), score("MPSNR", view.mpsnr, 2, " dB"),
     score("SSIM", view.ssim, 4, "")] : ["not in this frame"];
   at("scores").textContent = scores.filter(Boolean).join(" · ");
-  const none = !frame.motion && !frame.uncertainty;
+  const none = !pictures.motion && !pictures.uncertainty;
   at("pair").hidden = none;
   at("no-pair").hidden = !none;
-  picture(at("motion"), frame.motion);
-  picture(at("uncertainty"), frame.uncertainty);
+  picture(at("motion"), pictures.motion);
+  picture(at("uncertainty"), pictures.uncertainty);
 }
 
 function step(key, by, count) {

@@ -1,26 +1,39 @@
 //! The report is one file that stands alone, whatever the run produced.
 
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
-use ffgs_report::{FrameReport, ReportInput, ViewReport, motion_picture, uncertainty_picture, write_report};
+use ffgs_report::{
+    FramePictures, FrameReport, ReportInput, Thumbnails, ViewReport, motion_picture, uncertainty_picture,
+    write_report,
+};
 use glam::{DMat3, DMat4, DVec3};
-use image::{Rgb, RgbImage};
 use std::fs;
 use std::path::Path;
 
+fn filled(colour: [u8; 3]) -> ImageRgb8 {
+    let size = ImageSize { width: 32, height: 20 };
+    ImageRgb8::new(size, colour.repeat(size.pixels())).unwrap()
+}
+
 fn run(folder: &Path) -> ReportInput {
-    let (truth, render) = (folder.join("a.png"), folder.join("b.png"));
-    RgbImage::from_pixel(32, 20, Rgb([10, 200, 30])).save(&truth).unwrap();
-    RgbImage::from_pixel(32, 20, Rgb([40, 100, 90])).save(&render).unwrap();
-    let view = ViewReport {
-        name: "</script><b>cam".into(),
-        psnr: Some(20.0),
-        ground_truth: truth.clone(),
-        render,
-        ..ViewReport::default()
+    let (truth, render) = (filled([10, 200, 30]), filled([40, 100, 90]));
+    let thumbnails = Thumbnails::for_run(2, 1);
+    let pictures = FramePictures {
+        views: vec![thumbnails.view(&truth, &render).unwrap().unwrap()],
+        motion: Some(thumbnails.encode(&truth).unwrap()),
+        uncertainty: None,
     };
-    let frame = FrameReport { views: vec![view], motion: Some(truth), ..FrameReport::default() };
+    let path = folder.join("pictures.json");
+    fs::write(&path, serde_json::to_vec(&pictures).unwrap()).unwrap();
+    let view = ViewReport { name: "</script><b>cam".into(), psnr: Some(20.0), ..ViewReport::default() };
+    let frame = FrameReport { views: vec![view], pictures: Some(path), ..FrameReport::default() };
     let later = FrameReport { index: 1, ..frame.clone() };
     ReportInput { title: "a < b".into(), frames: vec![frame, later], ..ReportInput::default() }
+}
+
+/// Between `start` and `end`, as JSON.
+fn json(html: &str, start: &str, end: &str) -> serde_json::Value {
+    let at = html.find(start).unwrap() + start.len();
+    serde_json::from_str(&html[at..at + html[at..].find(end).unwrap()]).unwrap()
 }
 
 #[test]
@@ -31,28 +44,33 @@ fn the_page_stands_alone_and_its_data_parse() {
     let html = fs::read_to_string(&path).unwrap();
     assert!(html.contains("<title>a &lt; b</title>"));
     assert!(!html.contains("http://") && !html.contains("https://") && !html.contains("src=\""));
-    assert_eq!(html.matches("</script>").count(), 1, "a name must not end the script");
-    let start = html.find("const frames = ").unwrap() + "const frames = ".len();
-    let json = &html[start..start + html[start..].find(";\n").unwrap()];
-    let frames: serde_json::Value = serde_json::from_str(json).unwrap();
+    assert_eq!(
+        html.matches("</script>").count(),
+        3,
+        "two frames and the program; a name must not end the script"
+    );
+    let frames = json(&html, "const frames = ", ";\n");
     assert_eq!(frames[1]["views"][0]["name"], "</script><b>cam");
     assert!(frames[0]["views"][0]["mpsnr"].is_null());
-    let image = frames[0]["views"][0]["images"][2].as_str().unwrap();
-    assert!(image.starts_with("data:image/jpeg;base64,"));
+    for frame in 0..2 {
+        let start = format!("id=\"pictures-{frame}\">");
+        let pictures = json(&html, &start, "</script>");
+        let image = pictures["views"][0][2].as_str().unwrap();
+        assert!(image.starts_with("data:image/jpeg;base64,"));
+    }
+    assert!(!html.contains(&*folder.path().to_string_lossy()), "no path of this machine");
 }
 
 #[test]
-fn an_empty_run_has_a_report_and_a_missing_picture_is_named() {
+fn an_empty_run_has_a_report_and_a_missing_file_of_pictures_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     write_report(&path, &ReportInput::default()).unwrap();
     let mut input = run(folder.path());
-    input.frames[1].motion = Some(folder.path().join("absent.png"));
-    assert!(write_report(&path, &input).unwrap_err().to_string().contains("absent.png"));
-    let small = folder.path().join("small.png");
-    RgbImage::new(3, 3).save(&small).unwrap();
-    input.frames[0].views[0].render = small;
-    assert!(write_report(&path, &input).unwrap_err().to_string().contains("differ in size"));
+    input.frames[0].pictures = None;
+    write_report(&path, &input).unwrap();
+    input.frames[1].pictures = Some(folder.path().join("absent.json"));
+    assert!(write_report(&path, &input).unwrap_err().to_string().contains("absent.json"));
 }
 
 #[test]
@@ -68,5 +86,8 @@ fn motion_to_the_right_is_the_wheels_right_colour() {
     assert_eq!(picture.pixel(10 * 200 + 190), [35.0 / 255.0; 3]);
     assert!(motion_picture(&camera, &[prev], &[], &background).is_err());
     let nothing = [DMat3::ZERO, DMat3::from_diagonal(DVec3::NAN)];
-    uncertainty_picture(&camera, &[prev, now], &nothing, &background).unwrap();
+    let empty = uncertainty_picture(&camera, &[], &[], &background).unwrap();
+    assert!(uncertainty_picture(&camera, &[prev, now], &nothing, &background).unwrap() == empty, "no dot");
+    let known = [DMat3::IDENTITY, DMat3::ZERO];
+    assert!(uncertainty_picture(&camera, &[prev, now], &known, &background).unwrap() != empty, "a dot");
 }
