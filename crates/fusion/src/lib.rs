@@ -36,8 +36,6 @@ mod densify;
 mod evidence;
 mod fuse;
 mod groups;
-#[cfg(test)]
-mod instruction_sets;
 mod members;
 mod motion_fit;
 mod neighbourhoods;

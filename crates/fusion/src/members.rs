@@ -245,9 +245,9 @@ fn add_terms(arms: &[Lanes; 3], weighted: &[Lanes; 9], sums: &mut [Lanes; TERMS]
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::instruction_sets::vectorised;
     use crate::motion_fit::fit_motion;
     use ffgs_core::{EstimateStatus, Estimates};
+    use ffgs_testkit::vectorised;
     use glam::DQuat;
     use nalgebra::{Matrix3x6, Vector3};
 

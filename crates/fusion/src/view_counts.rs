@@ -105,8 +105,8 @@ impl Part {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::instruction_sets::vectorised;
     use ffgs_core::ImageSize;
+    use ffgs_testkit::vectorised;
     use glam::DMat4;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;

@@ -89,8 +89,8 @@ fn add(motion: &Sum, block: &Block, sums: &mut [f64; LANES]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::instruction_sets::vectorised;
     use crate::symmetric::Symmetric;
+    use ffgs_testkit::vectorised;
     use glam::DQuat;
 
     fn voters() -> Vec<Voter> {

@@ -4,70 +4,48 @@ use ffgs_core::{ImageRgb8, ImageSize, PlanarImage};
 use ffgs_metrics::{
     Border, LossAndGradient, SsimError, SsimPair, image_ssim, loss_3dgs, ssim, ssim_and_gradient,
 };
-use npyz::npz::NpzArchive;
-use std::fs::File;
-use std::io::BufReader;
-use std::path::PathBuf;
+use ffgs_testkit::{Case, case, largest_difference};
 
 /// The reference's maps are stored as f32, its images too; values and gradients as f64.
 const TOLERANCE: f64 = 1e-6;
 
-struct Fixture(NpzArchive<BufReader<File>>);
-
-impl Fixture {
-    fn open() -> Self {
-        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/reference/ssim/ssim.npz");
-        Self(NpzArchive::new(BufReader::new(File::open(path).unwrap())).unwrap())
-    }
-
-    fn cases(&self) -> Vec<String> {
-        let name = |key: &str| key.strip_suffix("__img1").map(str::to_owned);
-        let mut names: Vec<String> = self.0.array_names().filter_map(name).collect();
-        names.sort();
-        names
-    }
-
-    fn f32(&mut self, case: &str, key: &str) -> (Vec<u64>, Vec<f32>) {
-        let array = self.0.by_name(&format!("{case}__{key}")).unwrap().unwrap();
-        (array.shape().to_vec(), array.into_vec().unwrap())
-    }
-
-    fn f64(&mut self, case: &str, key: &str) -> Vec<f64> {
-        self.0.by_name(&format!("{case}__{key}")).unwrap().unwrap().into_vec().unwrap()
-    }
+/// Names of the pairs of images: the file holds `NAME__img1` and further arrays of each.
+fn pairs(file: &Case) -> Vec<String> {
+    let name = |key: &String| key.strip_suffix("__img1").map(str::to_owned);
+    let mut names: Vec<String> = file.file.names().iter().filter_map(name).collect();
+    names.sort();
+    names
 }
 
 fn assert_close(case: &str, key: &str, found: &[f64], expected: &[f64]) {
-    assert_eq!(found.len(), expected.len(), "{case} {key}");
-    let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let worst = largest_difference(found, expected);
     assert!(worst <= TOLERANCE, "{case} {key}: off by {worst:.1e}");
 }
 
-fn check(fixture: &mut Fixture, case: &str, prefix: &str, found: &LossAndGradient) {
-    assert_close(case, prefix, &[found.value], &fixture.f64(case, &format!("{prefix}_value")));
-    assert_close(case, prefix, &found.gradient, &fixture.f64(case, &format!("{prefix}_grad")));
+fn check(file: &Case, case: &str, prefix: &str, found: &LossAndGradient) {
+    let expected = |what: &str| file.array(&format!("{case}__{prefix}_{what}"));
+    assert_close(case, prefix, &[found.value], &expected("value"));
+    assert_close(case, prefix, &found.gradient, &expected("grad"));
     if prefix != "loss3dgs" {
-        let (_, map) = fixture.f32(case, &format!("{prefix}_map"));
-        let map: Vec<f64> = map.into_iter().map(f64::from).collect();
-        assert_close(case, &format!("{prefix}_map"), &found.map, &map);
+        assert_close(case, prefix, &found.map, &expected("map"));
     }
 }
 
 #[test]
 fn every_reference_case_holds() {
-    let mut fixture = Fixture::open();
-    let cases = fixture.cases();
+    let file = case("ssim", "ssim");
+    let cases = pairs(&file);
     assert!(cases.len() >= 8);
     for case in &cases {
-        let (shape, rendered) = fixture.f32(case, "img1");
-        let (_, target) = fixture.f32(case, "img2");
-        let shape = [shape[0] as usize, shape[1] as usize, shape[2] as usize];
-        let pair = SsimPair::new(shape, &rendered, &target).unwrap();
+        let image = |key: &str| file.file.f32(&format!("{case}__{key}")).unwrap();
+        let (rendered, target) = (image("img1"), image("img2"));
+        let shape = [rendered.shape[0], rendered.shape[1], rendered.shape[2]];
+        let pair = SsimPair::new(shape, &rendered.data, &target.data).unwrap();
         let same = ssim_and_gradient(pair, Border::Same).unwrap();
         assert!((ssim(pair, Border::Same).unwrap() - same.value).abs() < 1e-12);
-        check(&mut fixture, case, "same", &same);
-        check(&mut fixture, case, "valid", &ssim_and_gradient(pair, Border::Valid).unwrap());
-        check(&mut fixture, case, "loss3dgs", &loss_3dgs(pair).unwrap());
+        check(&file, case, "same", &same);
+        check(&file, case, "valid", &ssim_and_gradient(pair, Border::Valid).unwrap());
+        check(&file, case, "loss3dgs", &loss_3dgs(pair).unwrap());
     }
 }
 

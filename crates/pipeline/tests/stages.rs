@@ -3,6 +3,7 @@
 use ffgs_arrays::{NpzFile, NpzWriter};
 use ffgs_pipeline::device::Device;
 use ffgs_pipeline::stage::{Stage, run as run_on};
+use ffgs_testkit::{largest, largest_difference, relative_difference};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -33,20 +34,9 @@ fn values(file: &NpzFile, key: &str) -> Vec<f64> {
     file.f64(key).unwrap().data
 }
 
-/// Largest difference; a NaN on either side counts as infinite.
-fn difference(found: &[f64], expected: &[f64]) -> f64 {
-    assert_eq!(found.len(), expected.len());
-    let pairs = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
-    pairs.fold(0.0, |worst: f64, d| if d.is_nan() { f64::INFINITY } else { worst.max(d) })
-}
-
-fn largest(values: &[f64]) -> f64 {
-    values.iter().fold(1e-12, |m: f64, v| m.max(v.abs()))
-}
-
 /// Output `key` against input `expected_key`, absolute.
 fn assert_expected(input: &NpzFile, output: &NpzFile, key: &str, tolerance: f64, case: &str) {
-    let error = difference(&values(output, key), &values(input, &format!("expected_{key}")));
+    let error = largest_difference(&values(output, key), &values(input, &format!("expected_{key}")));
     assert!(error <= tolerance, "{case}, {key}: {error:.1e}");
 }
 
@@ -65,7 +55,7 @@ fn voronoi_and_agreement_match() {
 #[test]
 fn associate_matches() {
     on_cases(Stage::Associate, "associate", |input, output, case| {
-        let weight = 1e-4 * largest(&values(input, "expected_weight"));
+        let weight = 1e-4 * largest(values(input, "expected_weight"));
         assert_expected(input, output, "weight", weight, case);
         assert_expected(input, output, "target", 1e-3, case);
         assert_expected(input, output, "coverage", 1e-4, case);
@@ -76,7 +66,7 @@ fn associate_matches() {
 fn fuse_and_validate_match() {
     on_cases(Stage::Fuse, "fuse", |input, output, case| {
         for key in ["means", "covariances", "q"] {
-            let size = largest(&values(input, &format!("expected_{key}")));
+            let size = largest(values(input, &format!("expected_{key}")));
             assert_expected(input, output, key, 1e-9 * size, case);
         }
     });
@@ -92,7 +82,7 @@ fn triangulate_finds_exact_points_and_is_sound_with_noise() {
     on_cases(Stage::Triangulate, "triangulate", |input, output, case| {
         assert!(values(output, "covariances").iter().all(|v| v.is_finite()), "{case}");
         if input.f64("noise_px").unwrap().data[0] == 0.0 {
-            let error = difference(&values(output, "means"), &values(input, "truth"));
+            let error = largest_difference(&values(output, "means"), &values(input, "truth"));
             assert!(error < 1e-9, "{case}: {error:.1e}");
         }
         let valid = values(output, "valid");
@@ -108,12 +98,12 @@ fn rasterize_matches() {
         let sound = |v: &[f64]| -> Vec<f64> {
             (0..v.len()).filter(|i| fragile[i / 3] == 0.0).map(|i| v[i]).collect()
         };
-        assert!(difference(&sound(&image), &sound(&expected)) <= 2e-5, "{case}: image");
+        assert!(largest_difference(&sound(&image), &sound(&expected)) <= 2e-5, "{case}: image");
         for key in ["means", "quats", "log_scales", "opacity_logits", "sh", "viewmat", "background"] {
             let [ours, expected] = [output, input].map(|file| values(file, &format!("grad_{key}")));
             // The last row of a pose is constant; the reference may hold its derivative.
             let count = if key == "viewmat" { 12 } else { ours.len() };
-            let error = difference(&ours[..count], &expected[..count]) / largest(&expected);
+            let error = relative_difference(&ours[..count], &expected[..count]);
             assert!(error <= 1e-3, "{case}, grad_{key}: {error:.1e}");
         }
     });
@@ -136,7 +126,7 @@ fn ssim_matches() {
         run(Stage::Ssim, &input, &output).unwrap();
         let output = NpzFile::open(&output).unwrap();
         for key in ["same_value", "same_map", "same_grad", "valid_value", "valid_grad", "loss3dgs_value"] {
-            let error = difference(&values(&output, key), &values(&file, &format!("{name}__{key}")));
+            let error = largest_difference(&values(&output, key), &values(&file, &format!("{name}__{key}")));
             assert!(error <= 1e-5, "{name}, {key}: {error:.1e}");
         }
     }

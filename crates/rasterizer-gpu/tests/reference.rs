@@ -5,6 +5,7 @@ use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, Gradients, PixelGradients, RenderOptions, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
+use ffgs_testkit::{largest_difference, relative_difference};
 use glam::DMat4;
 use std::path::{Path, PathBuf};
 
@@ -63,23 +64,16 @@ fn run(gpu: &Gpu, file: &NpzFile) -> (Rendered, Gradients) {
     (rendered, out)
 }
 
-/// `f64::max` would drop a NaN.
-fn worst(m: f64, d: f64) -> f64 {
-    if d <= m { m } else { d }
-}
-
 fn image_error(rendered: &Rendered, file: &NpzFile) -> f64 {
     let (image, alpha) = (file.f64("image").unwrap().data, file.f64("alpha").unwrap().data);
     let fragile = file.u8("pixel_fragile").unwrap().data;
-    let mut error = 0.0;
-    for pixel in (0..alpha.len()).filter(|&p| fragile[p] == 0) {
-        let ours = rendered.image.pixel(pixel);
-        for c in 0..3 {
-            error = worst(error, (f64::from(ours[c]) - image[pixel * 3 + c]).abs());
-        }
-        error = worst(error, (1.0 - f64::from(rendered.transmittance[pixel]) - alpha[pixel]).abs());
-    }
-    error
+    let sound = || (0..alpha.len()).filter(|&pixel| fragile[pixel] == 0);
+    let ours: Vec<f32> = sound().flat_map(|p| rendered.image.pixel(p)).collect();
+    let expected: Vec<f64> = sound().flat_map(|p| [0, 1, 2].map(|c| image[3 * p + c])).collect();
+    let colour = largest_difference(&ours, &expected);
+    let ours: Vec<f32> = sound().map(|p| 1.0 - rendered.transmittance[p]).collect();
+    let expected: Vec<f64> = sound().map(|p| alpha[p]).collect();
+    colour.max(largest_difference(&ours, &expected))
 }
 
 fn gradient_errors(g: &Gradients, file: &NpzFile) -> Vec<(&'static str, f64)> {
@@ -97,9 +91,7 @@ fn gradient_errors(g: &Gradients, file: &NpzFile) -> Vec<(&'static str, f64)> {
     ];
     let relative = |(name, ours): (&'static str, Vec<f64>)| {
         let expected = file.f64(&format!("grad_{name}")).unwrap().data;
-        let largest = expected.iter().fold(1e-12, |m: f64, v| m.max(v.abs()));
-        let errors = ours.iter().zip(&expected).map(|(a, b)| (a - b).abs());
-        (name, errors.fold(0.0, worst) / largest)
+        (name, relative_difference(&ours, &expected[..ours.len()]))
     };
     ours.into_iter().map(relative).collect()
 }

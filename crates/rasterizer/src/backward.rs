@@ -223,25 +223,9 @@ mod tests {
     use crate::contract::{Background, RenderOptions};
     use crate::cpu::BlendTile;
     use ffgs_core::{Camera, ImageSize, Intrinsics, PlanarImage};
+    use ffgs_testkit::vectorised;
 
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
-
-    /// Runs `op` with one instruction set: portable, AVX2, AVX-512; `false` where this machine does not have it.
-    fn vectorised(set: usize, op: impl WithSimd<Output = ()>) -> bool {
-        if set == 0 {
-            Simd::vectorize(pulp::Scalar::new(), op);
-            return true;
-        }
-        #[cfg(target_arch = "x86_64")]
-        if let (1, Some(simd)) = (set, pulp::x86::V3::try_new()) {
-            Simd::vectorize(simd, op);
-            return true;
-        } else if let (2, Some(simd)) = (set, pulp::x86::V4::try_new()) {
-            Simd::vectorize(simd, op);
-            return true;
-        }
-        false
-    }
 
     fn scene() -> (Gaussians, Camera) {
         let mut g = Gaussians::zeros(40, 0);
@@ -272,9 +256,9 @@ mod tests {
             let (slots, splats) = (&tape.lists.slots[start..end], &tape.splats[..]);
             let (origin, mut pixels) = (tile_origin(tile, tape.grid), TilePixels::default());
             let mut entries = vec![[0.0; ENTRY]; slots.len()];
-            vectorised(set, BlendTile { origin, splats, slots, out: &mut pixels }).then_some(())?;
+            vectorised(set, BlendTile { origin, splats, slots, out: &mut pixels })?;
             let input = TileUpstream::new(&view, tape.grid, tile, &pixels, &upstream);
-            vectorised(set, TileBackward { origin, splats, slots, input, entries: &mut entries });
+            vectorised(set, TileBackward { origin, splats, slots, input, entries: &mut entries })?;
             out.extend(pixels.rgb.iter().flat_map(|plane| plane.0));
             out.extend(pixels.transmittance.0);
             out.extend(entries.as_flattened());

@@ -6,6 +6,7 @@ use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, View,
 };
+use ffgs_testkit::{largest, largest_difference, relative_difference};
 use glam::DMat4;
 use std::path::{Path, PathBuf};
 
@@ -85,14 +86,6 @@ fn cases() -> Vec<PathBuf> {
     paths
 }
 
-fn relative_error(name: &str, ours: &[f64], expected: &[f64]) -> f64 {
-    assert_eq!(ours.len(), expected.len(), "{name}");
-    let largest = expected.iter().fold(1e-12, |m: f64, v| m.max(v.abs()));
-    // `f64::max` would drop a NaN.
-    let worst = |m: f64, d: f64| if d <= m { m } else { d };
-    ours.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, worst) / largest
-}
-
 #[test]
 fn images_agree_outside_fragile_pixels() {
     for path in cases() {
@@ -101,16 +94,15 @@ fn images_agree_outside_fragile_pixels() {
         let image = case.file.f64("image").unwrap().data;
         let alpha = case.file.f64("alpha").unwrap().data;
         let fragile = case.file.u8("pixel_fragile").unwrap().data;
-        let mut worst = 0.0_f64;
-        for pixel in (0..alpha.len()).filter(|&p| fragile[p] == 0) {
-            let ours = tape.image().pixel(pixel);
-            for c in 0..3 {
-                worst = worst.max((f64::from(ours[c]) - image[pixel * 3 + c]).abs());
-            }
-            worst = worst.max((1.0 - f64::from(tape.transmittance()[pixel]) - alpha[pixel]).abs());
-        }
+        let sound = || (0..alpha.len()).filter(|&pixel| fragile[pixel] == 0);
+        let ours: Vec<f32> = sound().flat_map(|p| tape.image().pixel(p)).collect();
+        let expected: Vec<f64> = sound().flat_map(|p| [0, 1, 2].map(|c| image[3 * p + c])).collect();
+        let colour = largest_difference(&ours, &expected);
+        let ours: Vec<f32> = sound().map(|p| 1.0 - tape.transmittance()[p]).collect();
+        let expected: Vec<f64> = sound().map(|p| alpha[p]).collect();
+        let worst = colour.max(largest_difference(&ours, &expected));
         println!("{}: image error {worst:.1e}", path.display());
-        assert!(tape.image().data().iter().all(|v| v.is_finite()), "{}: not finite", path.display());
+        assert!(largest(tape.image().data().iter().copied()).is_finite(), "{}: not finite", path.display());
         assert!(worst <= IMAGE_TOLERANCE, "{}: {worst:e}", path.display());
     }
 }
@@ -136,7 +128,7 @@ fn gradients_agree() {
         ];
         for (name, ours) in ours {
             let expected = case.file.f64(&format!("grad_{name}")).unwrap().data;
-            let error = relative_error(name, &ours, &expected[..ours.len()]);
+            let error = relative_difference(&ours, &expected[..ours.len()]);
             println!("{} {name}: {error:.1e}", path.display());
             assert!(error <= GRADIENT_TOLERANCE, "{} {name}: {error:e}", path.display());
         }

@@ -1,7 +1,8 @@
 //! Problems of every unpleasant kind for the tests.
 
 use ffgs_core::{Camera, ImageSize, Intrinsics, Observations};
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use ffgs_testkit::look_at;
+use glam::{DVec2, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -61,13 +62,9 @@ const VIEWS: usize = 14;
 const SIZE: ImageSize = ImageSize { width: 640, height: 360 };
 
 fn camera(eye: DVec3, at: DVec3) -> Camera {
-    let z = (at - eye).normalize();
-    let x = z.cross(DVec3::Z).normalize();
-    let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
-    let mut pose = DMat4::from_mat3(rotation);
-    pose.w_axis = (-(rotation * eye)).extend(1.0);
     let focal = 320.0 / 55_f64.to_radians().tan();
-    Camera::new(Intrinsics { fx: focal, fy: 0.9 * focal, cx: 318.0, cy: 182.5 }, pose, SIZE).unwrap()
+    Camera::new(Intrinsics { fx: focal, fy: 0.9 * focal, cx: 318.0, cy: 182.5 }, look_at(eye, at), SIZE)
+        .unwrap()
 }
 
 fn cameras(rng: &mut ChaCha8Rng) -> Vec<Camera> {

@@ -4,8 +4,9 @@
 mod yardstick;
 
 use ffgs_core::{Camera, EstimateStatus, Estimates, ImageSize, Intrinsics, Observations};
+use ffgs_testkit::{look_at, normal};
 use ffgs_triangulation::TriangulationConfig;
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use yardstick::{Problem, Verdict, judge, run};
@@ -45,19 +46,9 @@ const BASE: Kind = Kind {
     origin: DVec3::ZERO,
 };
 
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (u, v): (f64, f64) = (1.0 - rng.random::<f64>(), rng.random());
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-}
-
 fn camera(eye: DVec3, at: DVec3) -> Camera {
-    let z = (at - eye).normalize();
-    let x = z.cross(DVec3::Z).normalize();
-    let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
-    let mut pose = DMat4::from_mat3(rotation);
-    pose.w_axis = (-(rotation * eye)).extend(1.0);
     let intrinsics = Intrinsics { fx: 323.0, fy: 323.0, cx: 320.0, cy: 180.0 };
-    Camera::new(intrinsics, pose, SIZE).unwrap()
+    Camera::new(intrinsics, look_at(eye, at), SIZE).unwrap()
 }
 
 fn eye(rig: Rig, share: f64, rng: &mut ChaCha8Rng) -> DVec3 {

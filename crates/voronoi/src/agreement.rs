@@ -197,7 +197,7 @@ fn length([x, y]: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::instruction_sets::vectorised;
+    use ffgs_testkit::vectorised;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

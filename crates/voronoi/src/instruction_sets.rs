@@ -2,21 +2,9 @@
 
 use crate::kernel_mean::{KernelMean, Mean};
 use crate::nearest::{Candidate, Keys, KthNearest, LANES};
-use pulp::{Simd, WithSimd};
+use ffgs_testkit::vectorised;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-/// Runs with instruction set 0 (none), 1 (AVX2) or 2 (AVX-512), if the machine has it.
-pub fn vectorised<O: WithSimd>(set: usize, op: O) -> Option<O::Output> {
-    match set {
-        0 => Some(Simd::vectorize(pulp::Scalar::new(), op)),
-        #[cfg(target_arch = "x86_64")]
-        1 => pulp::x86::V3::try_new().map(|simd| Simd::vectorize(simd, op)),
-        #[cfg(target_arch = "x86_64")]
-        2 => pulp::x86::V4::try_new().map(|simd| Simd::vectorize(simd, op)),
-        _ => None,
-    }
-}
 
 /// Tracks of which some begin at one place, and places of which some are theirs.
 fn tracks_and_places() -> (Vec<Candidate>, [[f64; 8 * LANES]; 2]) {

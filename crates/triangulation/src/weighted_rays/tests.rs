@@ -2,20 +2,9 @@
 
 use super::*;
 use crate::problems::{Problems, Trouble, unpleasant};
+use ffgs_testkit::vectorised;
 
 const COUNT: usize = 600;
-
-/// Runs with instruction set 0 (none), 1 (AVX2) or 2 (AVX-512), if the machine has it.
-fn vectorised<O: WithSimd>(set: usize, op: O) -> Option<O::Output> {
-    match set {
-        0 => Some(Simd::vectorize(pulp::Scalar::new(), op)),
-        #[cfg(target_arch = "x86_64")]
-        1 => pulp::x86::V3::try_new().map(|simd| Simd::vectorize(simd, op)),
-        #[cfg(target_arch = "x86_64")]
-        2 => pulp::x86::V4::try_new().map(|simd| Simd::vectorize(simd, op)),
-        _ => None,
-    }
-}
 
 /// Does something with the problems as a batch.
 fn with_batch<T>(problems: &Problems, config: &TriangulationConfig, op: impl FnOnce(&Batch) -> T) -> T {

@@ -1,8 +1,6 @@
-//! For tests of the kernels: none fuses a product with a sum, so all instruction sets find the same bits.
-
 use pulp::{Simd, WithSimd};
 
-/// Runs with instruction set 0 (none), 1 (AVX2) or 2 (AVX-512), if the machine has it.
+/// Runs `op` with an instruction set: 0 = scalar, 1 = AVX2, 2 = AVX-512. `None` where the machine lacks it.
 pub fn vectorised<O: WithSimd>(set: usize, op: O) -> Option<O::Output> {
     match set {
         0 => Some(Simd::vectorize(pulp::Scalar::new(), op)),
