@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn an_unknown_command_is_refused_before_anything_is_built() {
-        let error = pass_through(Path::new("/nowhere"), &["chek".to_owned()]).unwrap_err();
-        assert!(error.to_string().contains("chek"));
+        let error = pass_through(Path::new("/nowhere"), &["inspect".to_owned()]).unwrap_err();
+        assert!(error.to_string().contains("inspect"));
     }
 }

@@ -9,13 +9,8 @@ const MAX_LINES: usize = 600;
 const EMPTY_NAMES: [&str; 5] = ["utils", "util", "helpers", "helper", "misc"];
 
 /// Marks of unfinished work; in pieces, so that this file does not find itself.
-const LEFTOVERS: [&str; 5] = [
-    concat!("to", "do!"),
-    concat!("unimpl", "emented!"),
-    concat!("TO", "DO"),
-    concat!("FIX", "ME"),
-    concat!("#[ig", "nore"),
-];
+const LEFTOVERS: [&str; 4] =
+    [concat!("to", "do!"), concat!("unimpl", "emented!"), concat!("TO", "DO"), concat!("FIX", "ME")];
 
 /// A registry's host or a folder of one machine would break every other machine.
 const MACHINE_WORDS: [&str; 5] = [
@@ -28,8 +23,8 @@ const MACHINE_WORDS: [&str; 5] = [
 
 /// Applies every rule to one file.
 pub fn check(source: &Source) -> Vec<Finding> {
-    let rules: [fn(&Source) -> Vec<Finding>; 5] =
-        [long_file, empty_names, leftovers, machine_words, trailing_whitespace];
+    let rules: [fn(&Source) -> Vec<Finding>; 6] =
+        [long_file, empty_names, leftovers, ignored_tests, machine_words, trailing_whitespace];
     rules.iter().flat_map(|rule| rule(source)).collect()
 }
 
@@ -60,6 +55,16 @@ fn declares_empty_name(line: &str) -> bool {
         code.split(|c: char| !(c.is_alphanumeric() || c == '_')).skip_while(|w| !matches!(*w, "mod" | "fn"));
     let declared = words.nth(1);
     !is_comment && declared.is_some_and(|name| EMPTY_NAMES.contains(&name))
+}
+
+/// The only reason for which a test may be left out; `cargo xtask ci` runs these tests too.
+const NEEDS_GPU: &str = concat!("#[ig", "nore = \"needs a GPU\"]");
+
+/// A test that is left out by default passes for years without running.
+fn ignored_tests(source: &Source) -> Vec<Finding> {
+    let is_ignored =
+        |line: &str| line.trim_start().starts_with(concat!("#[ig", "nore")) && line.trim() != NEEDS_GPU;
+    if source.is("rs") { lines_where(source, "an ignored test", is_ignored) } else { Vec::new() }
 }
 
 fn leftovers(source: &Source) -> Vec<Finding> {
@@ -102,6 +107,14 @@ mod tests {
         assert!(long_file(&source("a.rs", &"x\n".repeat(MAX_LINES))).is_empty());
         assert_eq!(long_file(&source("a.rs", &"x\n".repeat(MAX_LINES + 1))).len(), 1);
         assert!(long_file(&source("a.md", &"x\n".repeat(MAX_LINES + 1))).is_empty());
+    }
+
+    #[test]
+    fn a_test_may_be_left_out_for_want_of_a_gpu_only() {
+        let ignored = |line: &str| ignored_tests(&source("a.rs", line)).len();
+        assert_eq!(ignored(&format!("    {NEEDS_GPU}\n")), 0);
+        assert_eq!(ignored(concat!("#[ig", "nore]\n")), 1);
+        assert_eq!(ignored(concat!("#[ig", "nore = \"slow\"]\n")), 1);
     }
 
     #[test]
