@@ -25,8 +25,7 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
-        (record.views, pictures.views) =
-            score(capture, &scene, &truths, &folder.frame(frame), Lanes(&gpus))?;
+        (record.views, pictures.views) = score(capture, &scene, &truths, &folder.frame(frame), Lanes(&gpus))?;
         write_json(&folder.record(frame), &record)?;
         write_json(&file, &pictures)?;
         records.push(record);
