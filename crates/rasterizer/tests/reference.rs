@@ -82,7 +82,7 @@ fn cases() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/reference/rasterize");
     let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     paths.sort();
-    assert!(paths.len() >= 7, "the reference cases are missing");
+    assert!(paths.len() >= 8, "the reference cases are missing");
     paths
 }
 
