@@ -17,12 +17,8 @@ use ffgs_core::{Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, Traini
 use ffgs_dataset::{Capture, ImageCheck, Split};
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
-<<<<<<< HEAD
-use ffgs_report::{motion_picture, uncertainty_picture};
-use ffgs_splats::Tracked;
-=======
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
+use ffgs_splats::Tracked;
 use ffgs_tracks::TrackStore;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
 use std::ops::Range;
@@ -79,8 +75,8 @@ struct Last {
     views: Vec<TrainingView>,
 }
 
-/// Publishing takes longer the more frames there are; between two times of it the run goes on for so many times what
-/// the first of them took, so that it takes at most a twentieth of the run.
+/// Least time between two publications, in units of the duration of the first of them. Publishing takes longer the more
+/// frames there are; this bounds it to a twentieth of the run.
 const PUBLISHING_INTERVAL: u32 = 20;
 
 struct Job<'a> {
@@ -189,16 +185,11 @@ impl<'a> Job<'a> {
                 }
             }
             record.seconds.load = Some(start.elapsed().as_secs_f64());
-<<<<<<< HEAD
-            let trained = self.train_all(&training, console)?;
-            let sky = sky_or_none(trained.sky, &trained.gaussians, &views);
-            self.split(&trained.gaussians, sky, &views, &training)?
-=======
             let trained = self.train_all(&views, console)?;
-            let scene = self.split(&trained.gaussians, trained.sky, &views[..count], &views)?;
+            let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
+            let scene = self.split(&trained.gaussians, sky, &views[..count], &views)?;
             views.truncate(count);
             scene
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
         };
         record.seconds.wall = Some(start.elapsed().as_secs_f64());
         let truths = load_tests(&self.capture, frame)?;

@@ -3,26 +3,21 @@
 use anyhow::{Result, bail};
 use ffgs_core::{Dynamic, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
-use std::borrow::Cow;
 use std::path::Path;
 
 /// Writes the state atomically.
 pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
     let state = FrameState {
         frame: frame as u64,
-        static_layer: Cow::Borrowed(&scene.static_layer),
-        dynamic_layer: Cow::Borrowed(&scene.dynamic.gaussians),
-        dynamic_covariances: Cow::Borrowed(&scene.dynamic.covariances),
+        static_layer: scene.static_layer.clone(),
+        dynamic_layer: scene.dynamic.gaussians.clone(),
+        dynamic_covariances: scene.dynamic.covariances.clone(),
         sky_face_size: scene.sky.face_size(),
-        sky: Cow::Borrowed(scene.sky.texels.as_flattened()),
+        sky: scene.sky.texels.as_flattened().to_vec(),
         q: scene.dynamic.q,
-<<<<<<< HEAD
         dynamic_steps: scene.dynamic.steps.clone(),
         dynamic_ids: scene.dynamic.ids.clone(),
         next_id: scene.dynamic.next_id,
-=======
-        dynamic_steps: Cow::Borrowed(&scene.dynamic.steps),
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
         ..FrameState::default()
     };
     Ok(save_checkpoint(path, &state)?)
@@ -43,16 +38,12 @@ pub fn load(path: &Path) -> Result<Scene> {
     let mut sky = SkyCube::filled(state.sky_face_size, [0.0; 3]);
     sky.texels = texels;
     let dynamic = Dynamic {
-        gaussians: state.dynamic_layer.into_owned(),
-        covariances: state.dynamic_covariances.into_owned(),
+        gaussians: state.dynamic_layer,
+        covariances: state.dynamic_covariances,
         q: state.q,
-<<<<<<< HEAD
         steps: state.dynamic_steps,
         ids: state.dynamic_ids,
         next_id: state.next_id,
-=======
-        steps: state.dynamic_steps.into_owned(),
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
     };
-    Ok(Scene { static_layer: state.static_layer.into_owned(), dynamic, sky })
+    Ok(Scene { static_layer: state.static_layer, dynamic, sky })
 }

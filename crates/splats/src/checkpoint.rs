@@ -5,7 +5,6 @@ use crate::error::InFile;
 use crate::{Problem, SplatError};
 use ffgs_core::{Gaussians, write_atomically};
 use glam::{DMat3, DVec3};
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
@@ -19,15 +18,14 @@ const CHECKSUM: usize = 4;
 /// All that the next frame needs: a run that continues from it ends with the same bytes as one never stopped.
 /// Floats are kept bit by bit (NaN payloads and signed zeros too).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct FrameState<'a> {
+pub struct FrameState {
     /// The frame this is the state after.
     pub frame: u64,
     /// Static layer.
-    pub static_layer: Cow<'a, Gaussians>,
+    pub static_layer: Gaussians,
     /// Dynamic layer.
-    pub dynamic_layer: Cow<'a, Gaussians>,
+    pub dynamic_layer: Gaussians,
     /// Position covariances of the dynamic layer (m^2).
-<<<<<<< HEAD
     pub dynamic_covariances: Vec<DMat3>,
     /// Ids of the dynamic layer, which stay with a Gaussian over all frames.
     pub dynamic_ids: Vec<u32>,
@@ -38,17 +36,14 @@ pub struct FrameState<'a> {
     pub dynamic_information: Gaussians,
     /// Information of each parameter of the static layer; empty when unknown.
     pub static_information: Gaussians,
-=======
-    pub dynamic_covariances: Cow<'a, [DMat3]>,
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
     /// Edge of a sky cube face (px); 0 without a sky.
     pub sky_face_size: usize,
     /// Sky texture, kept as it is.
-    pub sky: Cow<'a, [f32]>,
+    pub sky: Vec<f32>,
     /// Process noise of the last fused frame (m).
     pub q: f64,
     /// Last steps of the dynamic layer (m), for a prior of constant velocity; empty when unknown.
-    pub dynamic_steps: Cow<'a, [DVec3]>,
+    pub dynamic_steps: Vec<DVec3>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -57,7 +52,7 @@ pub struct FrameState<'a> {
 
 /// Writes a checkpoint atomically.
 pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError> {
-    for layer in [&*state.static_layer, &*state.dynamic_layer] {
+    for layer in [&state.static_layer, &state.dynamic_layer] {
         layer.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
     }
     let payload = encode(state);
@@ -71,7 +66,7 @@ pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError
 }
 
 /// Reads a checkpoint; a truncated or altered file, or one of another version, is an error.
-pub fn load_checkpoint(path: &Path) -> Result<FrameState<'static>, SplatError> {
+pub fn load_checkpoint(path: &Path) -> Result<FrameState, SplatError> {
     let bytes = std::fs::read(path).in_file(path)?;
     payload(&bytes).and_then(|(version, payload)| decode(version, payload)).in_file(path)
 }
@@ -108,7 +103,7 @@ fn encode(state: &FrameState) -> Vec<u8> {
     state.dynamic_covariances.iter().for_each(|m| put_f64s(&mut out, &m.to_cols_array()));
     put_u64(&mut out, state.sky_face_size as u64);
     put_u64(&mut out, state.sky.len() as u64);
-    put_f32s(&mut out, state.sky.iter());
+    put_f32s(&mut out, &state.sky);
     put_f64s(&mut out, [&state.q]);
     put_u64(&mut out, state.reals.len() as u64);
     for (name, value) in &state.reals {
@@ -140,7 +135,7 @@ fn put_layer(out: &mut Vec<u8>, layer: &Gaussians) {
     put_f32s(out, layer.sh.as_flattened());
 }
 
-fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> {
+fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     let mut cursor = Cursor(payload);
     let frame = cursor.u64()?;
     let static_layer = layer(&mut cursor)?;
@@ -163,7 +158,6 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
     }
     Ok(FrameState {
         frame,
-<<<<<<< HEAD
         static_layer,
         dynamic_layer,
         dynamic_covariances,
@@ -171,15 +165,10 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
         next_id,
         dynamic_information,
         static_information,
-=======
-        static_layer: Cow::Owned(static_layer),
-        dynamic_layer: Cow::Owned(dynamic_layer),
-        dynamic_covariances: Cow::Owned(dynamic_covariances),
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
         sky_face_size,
-        sky: Cow::Owned(sky),
+        sky,
         q,
-        dynamic_steps: Cow::Owned(dynamic_steps),
+        dynamic_steps,
         reals,
         integers,
     })

@@ -3,10 +3,9 @@
 use ffgs_core::Gaussians;
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint, write_sky_cross, write_sky_faces};
 use glam::{DMat3, DVec3};
-use std::borrow::Cow;
 use std::fs;
 
-fn state() -> FrameState<'static> {
+fn state() -> FrameState {
     let mut static_layer = Gaussians::zeros(3, 2);
     static_layer.sh[5] = [f32::MIN_POSITIVE / 8.0, -0.0, 1.0 / 3.0];
     static_layer.quats[1] = [0.1, 0.2, 0.3, 0.4];
@@ -14,7 +13,6 @@ fn state() -> FrameState<'static> {
     dynamic_layer.means[1] = [1e-30, 1e30, -7.5];
     FrameState {
         frame: 12,
-<<<<<<< HEAD
         static_layer,
         dynamic_layer,
         dynamic_covariances: vec![DMat3::from_diagonal(DVec3::new(0.1, 1.0 / 3.0, 1e-300)); 2],
@@ -22,15 +20,10 @@ fn state() -> FrameState<'static> {
         next_id: u32::MAX,
         dynamic_information: Gaussians::zeros(2, 3),
         static_information: Gaussians::zeros(3, 2),
-=======
-        static_layer: Cow::Owned(static_layer),
-        dynamic_layer: Cow::Owned(dynamic_layer),
-        dynamic_covariances: vec![DMat3::from_diagonal(DVec3::new(0.1, 1.0 / 3.0, 1e-300)); 2].into(),
->>>>>>> 5f87654 (report: pictures are encoded once per frame; a run decodes images once)
         sky_face_size: 2,
         sky: (0..72).map(|i| i as f32 / 7.0).collect(),
         q: 0.123_456_789,
-        dynamic_steps: vec![DVec3::new(-0.0, 1.4, 1e-300); 2].into(),
+        dynamic_steps: vec![DVec3::new(-0.0, 1.4, 1e-300); 2],
         reals: [("scale".to_owned(), f64::MIN_POSITIVE)].into(),
         integers: [("iteration".to_owned(), u64::MAX), ("seed".to_owned(), 3)].into(),
     }
