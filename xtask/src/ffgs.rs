@@ -18,7 +18,7 @@ struct Program {
 const FFGS: Program = Program {
     package: "ffgs-pipeline",
     name: "ffgs",
-    commands: &["run", "check", "stage", "render", "eval", "config", "devices"],
+    commands: &["prepare", "convert", "run", "check", "stage", "render", "eval", "config", "devices"],
 };
 const LAB: Program =
     Program { package: "ffgs-lab", name: "ffgs-lab", commands: &["motion-eval", "simulate", "ablations"] };

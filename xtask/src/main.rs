@@ -24,6 +24,7 @@ struct Cli {
 
 const AFTER_HELP: &str = "\
 Every command of ffgs and of ffgs-lab passes through, with the program built in release first:
+  cargo xtask prepare FOOTAGE --out CAPTURE     make a capture of videos or photographs with a calibration
   cargo xtask check CAPTURE                     what a capture holds, and every fault in it
   cargo xtask stage NAME --input in.npz --output out.npz
   cargo xtask render RUN --frame 3 --orbit

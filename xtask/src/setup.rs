@@ -22,9 +22,11 @@ enum Probe {
 const REQUIREMENTS: [Requirement; 1] =
     [Requirement { probe: Probe::Program("cc"), package: "build-essential" }];
 
-/// The GPU tests run on software Vulkan where there is no GPU. A run does not need it.
-const TEST_REQUIREMENTS: [Requirement; 1] =
-    [Requirement { probe: Probe::FileIn("/usr/share/vulkan/icd.d", "json"), package: "mesa-vulkan-drivers" }];
+/// The GPU tests run on software Vulkan where there is no GPU, and those of the videos make some. A run needs neither.
+const TEST_REQUIREMENTS: [Requirement; 2] = [
+    Requirement { probe: Probe::FileIn("/usr/share/vulkan/icd.d", "json"), package: "mesa-vulkan-drivers" },
+    Requirement { probe: Probe::Program("ffmpeg"), package: "ffmpeg" },
+];
 
 /// Installs what building and running need and is missing; silent when nothing is.
 pub fn run() -> Result<()> {

@@ -1,4 +1,6 @@
+use crate::suspicions;
 use crate::{Capture, CheckReport, DatasetError, Fault, Note, PointCloud, Split, SplitSummary, ViewSummary};
+use ffgs_core::{ImageRgb8, Mask};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -44,6 +46,9 @@ pub fn check_with_progress(
     check_splits(capture, &mut report);
     check_masks(capture, &mut report);
     note_blind_views(capture, &mut report);
+    let (faults, notes) = suspicions::find(capture, &points, &report.views);
+    report.faults.extend(faults);
+    report.notes.extend(notes);
     report
 }
 
@@ -64,8 +69,6 @@ fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
     }
     if points.is_empty() {
         add("no initial points".into(), "store points of frame 0, e.g. from a structure-from-motion tool");
-    } else if points.foreground_count() == 0 {
-        add("no foreground point (column 6)".into(), "set column 6 to 1 for points on the moving objects");
     }
     points
 }
@@ -89,6 +92,8 @@ impl Checker<'_> {
             (self.tick)();
         }
         summary.coverage /= summary.masks.max(1) as f64;
+        summary.border_coverage /= summary.masks.max(1) as f64;
+        summary.brightness /= summary.images.max(1) as f64;
         (summary, faults)
     }
 
@@ -106,6 +111,8 @@ impl Checker<'_> {
             masks: 0,
             empty_masks: 0,
             coverage: 0.0,
+            border_coverage: 0.0,
+            brightness: 0.0,
             points_seen: self.points.positions.iter().filter(seen).count(),
         }
     }
@@ -121,20 +128,40 @@ impl Checker<'_> {
     ) -> Result<(), DatasetError> {
         self.capture.camera(split, view, frame)?;
         let image = match self.images {
-            ImageCheck::Decode => self.capture.load_image(split, view, frame).map(|_| ()),
-            ImageCheck::Probe => self.capture.probe_image(split, view, frame),
+            ImageCheck::Decode => self.capture.load_image(split, view, frame).map(|i| brightness(&i)),
+            ImageCheck::Probe => self.capture.probe_image(split, view, frame).map(|()| 0.0),
         };
         match image {
-            Ok(()) => summary.images += 1,
+            Ok(brightness) => {
+                summary.images += 1;
+                summary.brightness += brightness;
+            }
             Err(error) => faults.push(fault(&file_of(&error, self.capture), &error)),
         }
         if let Some(mask) = self.capture.load_mask(split, view, frame)? {
             summary.masks += 1;
             summary.empty_masks += usize::from(mask.count() == 0);
             summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
+            summary.border_coverage += border(&mask);
         }
         Ok(())
     }
+}
+
+/// Mean value of every hundredth byte or so: an exposure needs no more.
+fn brightness(image: &ImageRgb8) -> f64 {
+    const STEP: usize = 97;
+    let sum: f64 = image.data().iter().step_by(STEP).map(|v| f64::from(*v)).sum();
+    sum / image.data().len().div_ceil(STEP) as f64
+}
+
+/// Foreground fraction of the outermost pixels.
+fn border(mask: &Mask) -> f64 {
+    let (width, height) = (mask.size().width, mask.size().height);
+    let rows = (0..width).flat_map(|x| [(x, 0), (x, height - 1)]);
+    let columns = (0..height).flat_map(|y| [(0, y), (width - 1, y)]);
+    let inside = rows.chain(columns).filter(|(x, y)| mask.contains(*x, *y)).count();
+    inside as f64 / (2 * (width + height)) as f64
 }
 
 fn check_splits(capture: &Capture, report: &mut CheckReport) {
@@ -162,9 +189,13 @@ fn check_masks(capture: &Capture, report: &mut CheckReport) {
     let masks: usize = train().map(|v| v.masks).sum();
     let empty: usize = train().map(|v| v.empty_masks).sum();
     let file = capture.root().join("seg");
-    if masks > 0 && masks == empty {
-        let problem = "every training mask is empty: nothing is marked as moving".to_owned();
-        report.faults.push(Fault { file, problem, fix: "write masks with the moving objects not 0".into() });
+    if masks == empty && report.faults.is_empty() {
+        let what = if masks == 0 { "no masks" } else { "every training mask is empty" };
+        let text = format!("{what}: nothing is marked as moving, the scene is taken for static");
+        report.notes.push(Note { file, text });
+    }
+    if masks == 0 && !capture.root().join("seg").exists() {
+        return;
     }
     for view in &report.views {
         let file = capture.root().join("seg").join(&view.name);

@@ -17,6 +17,7 @@ mod meta;
 mod pixels;
 mod points;
 mod report;
+mod suspicions;
 
 pub use capture::{Capture, Split, View};
 pub use check::{ImageCheck, check, check_with_progress};

@@ -8,11 +8,28 @@ use std::path::Path;
 
 type Matrix<const N: usize> = [[Option<f64>; N]; N];
 
+/// A side of the images: one for all cameras, or one for each camera of frame 0.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Side {
+    All(usize),
+    Each(Vec<usize>),
+}
+
+impl Side {
+    fn of(&self, view: usize) -> Option<usize> {
+        match self {
+            Self::All(side) => Some(*side),
+            Self::Each(sides) => sides.get(view).copied(),
+        }
+    }
+}
+
 /// A `*_meta.json`, entries `[frame][camera]`. Non-finite numbers (NaN is not JSON, but Python writes it) are null.
 #[derive(Deserialize)]
 struct MetaFile {
-    w: usize,
-    h: usize,
+    w: Side,
+    h: Side,
     k: Vec<Vec<Matrix<3>>>,
     w2c: Vec<Vec<Matrix<4>>>,
     #[serde(rename = "fn")]
@@ -97,16 +114,28 @@ impl MetaFile {
         if here.len() != views.len() {
             return Err(format!("frame {t} has {} cameras, frame 0 has {}", here.len(), views.len()));
         }
-        views.iter().map(|view| self.entry(t, view, &here)).collect()
+        (0..views.len()).map(|view| self.entry(t, views, view, &here)).collect()
     }
 
-    fn entry(&self, t: usize, view: &View, here: &[View]) -> Result<Entry, String> {
+    fn entry(&self, t: usize, views: &[View], index: usize, here: &[View]) -> Result<Entry, String> {
+        let view = &views[index];
         let missing = || format!("camera '{}' (id {}) is missing in frame {t}", view.name, view.id);
         let c = here.iter().position(|v| v == view).ok_or_else(missing)?;
-        let size = ImageSize { width: self.w, height: self.h };
+        let sides = self.w.of(index).zip(self.h.of(index));
+        let (width, height) =
+            sides.ok_or_else(|| format!("w or h has no entry for camera '{}'", view.name))?;
+        let size = ImageSize { width, height };
         let file_name = self.file_names[t][c].clone();
         if !is_inside(&file_name) {
             return Err(format!("file name {file_name:?} must be CAMERA/FRAME.png"));
+        }
+        let skew = number(self.k[t][c][0][1]);
+        // A thousandth of the focal length moves no pixel of the image by as much as one.
+        if skew.abs() > 1e-3 * number(self.k[t][c][0][0]).abs() {
+            return Err(format!(
+                "camera '{}' has a skew of {skew} in frame {t}: undistort its images",
+                view.name
+            ));
         }
         let (intrinsics, camera_from_world) = (intrinsics(&self.k[t][c]), transform(&self.w2c[t][c]));
         Ok(Entry { intrinsics, camera_from_world, size, file_name })

@@ -15,12 +15,14 @@ pub(crate) fn read_rgb(file: &Path, size: ImageSize) -> Result<ImageRgb8, Datase
     Ok(ImageRgb8::new(size, data).expect("decode checked the size"))
 }
 
-/// A mask of exactly `size`: foreground where any channel is not zero.
+/// A mask of exactly `size`: foreground where any channel is not zero, or, of a cut-out, where the alpha channel is
+/// at least half.
 pub(crate) fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
     let data = match decode(file, size)? {
         DynamicImage::ImageLuma8(grey) => grey.into_raw(),
         // Scaled to 8 bit, 1 would round to 0.
         DynamicImage::ImageLuma16(grey) => grey.into_raw().iter().map(|v| u8::from(*v != 0)).collect(),
+        other if is_cut_out(&other) => other.into_rgba8().pixels().map(|p| u8::from(p.0[3] >= 128)).collect(),
         other => other.into_rgb8().pixels().map(|p| u8::from(p.0 != [0; 3])).collect(),
     };
     Ok(Mask::new(size, data).expect("decode checked the size"))
@@ -49,6 +51,16 @@ fn require_size(file: &Path, expected: ImageSize, width: u32, height: u32) -> Re
         Ok(())
     } else {
         Err(DatasetError::ImageSize { file: file.to_owned(), expected, found })
+    }
+}
+
+/// Whether an alpha channel tells pixels apart.
+fn is_cut_out(image: &DynamicImage) -> bool {
+    let alpha = |p: &image::Rgba<u8>| p.0[3] >= 128;
+    image.color().has_alpha() && {
+        let rgba = image.to_rgba8();
+        let first = rgba.pixels().next().is_some_and(alpha);
+        rgba.pixels().any(|p| alpha(p) != first)
     }
 }
 

@@ -42,6 +42,10 @@ pub struct ViewSummary {
     pub empty_masks: usize,
     /// Mean foreground fraction of the masks, 0..=1.
     pub coverage: f64,
+    /// Mean foreground fraction of the masks' borders, 0..=1.
+    pub border_coverage: f64,
+    /// Mean value of the images, 0..=255; 0 when they were not decoded.
+    pub brightness: f64,
     /// Initial points inside the image at frame 0.
     pub points_seen: usize,
 }

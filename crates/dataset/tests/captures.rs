@@ -123,7 +123,7 @@ fn a_probe_finds_what_a_broken_copy_leaves() {
 }
 
 #[test]
-fn masks_may_be_missing_only_as_a_fault_and_not_all_empty() {
+fn masks_are_there_for_all_images_or_for_none() {
     let folder = capture();
     let seg = folder.path().join("seg");
     let empty = image::GrayImage::new(4, 2).into();
@@ -135,9 +135,30 @@ fn masks_may_be_missing_only_as_a_fault_and_not_all_empty() {
     for name in ["b/000000.png", "b/000001.png"] {
         save(&seg.join(name), &empty);
     }
-    assert_fault(folder.path(), "every training mask is empty");
+    let still = report(folder.path());
+    assert!(still.is_usable() && still.notes.iter().any(|n| n.text.contains("every training mask is empty")));
     fs::remove_file(seg.join("b/000001.png")).unwrap();
     assert_fault(folder.path(), "1 of 2 masks are missing");
+    fs::remove_dir_all(seg).unwrap();
+    let without = report(folder.path());
+    assert!(without.is_usable() && without.notes.iter().any(|n| n.text.contains("no masks")), "{without}");
+}
+
+#[test]
+fn every_camera_may_have_its_own_image_size() {
+    let folder = capture();
+    edit(folder.path(), r#""w":4,"h":2"#, r#""w":[4,6],"h":[2,3]"#);
+    assert_fault(folder.path(), "its camera is 6 x 3");
+    for frame in 0..2 {
+        for below in ["ims", "seg"] {
+            let image = image::GrayImage::from_pixel(6, 3, image::Luma([1]));
+            save(&folder.path().join(format!("{below}/b/{frame:06}.png")), &image.into());
+        }
+    }
+    assert!(report(folder.path()).is_usable());
+    edit(folder.path(), "[4,6]", "[4]");
+    let error = Capture::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("no entry for camera 'b'"), "{error}");
 }
 
 #[test]
@@ -179,10 +200,61 @@ fn points_not_finite_missing_or_unseen_are_told() {
     );
     assert_fault(folder.path(), "1 of 2 points are NaN or infinite");
     assert!(report(folder.path()).notes.iter().any(|n| n.text.contains("'a' sees no initial point")));
+    // Column 6 is for scoring only.
     write_points(folder.path(), &[0.0; 7]);
-    assert_fault(folder.path(), "no foreground point");
+    assert!(report(folder.path()).is_usable());
     fs::write(folder.path().join("init_pt_cld.npz"), b"PK").unwrap();
     assert_fault(folder.path(), "init_pt_cld.npz: not a readable npz");
+}
+
+/// Points on a grid before both cameras.
+fn grid() -> Vec<f32> {
+    let place =
+        |i: usize| [(i % 5) as f32 * 0.05 - 0.1, (i / 5) as f32 * 0.05 - 0.1, 0.0, 0.5, 0.5, 0.5, 0.0];
+    (0..25).flat_map(place).collect()
+}
+
+#[test]
+fn gross_mistakes_are_found_from_the_data() {
+    let folder = capture();
+    let root = folder.path();
+    write_points(root, &grid());
+    assert!(report(root).is_usable(), "{}", report(root));
+    // Camera-to-world: the translation changes its sign, and the points lie behind.
+    edit(root, "[0,0,1,2]", "[0,0,1,-2]");
+    edit(root, "[0,0,1,2]", "[0,0,1,-2]");
+    assert_fault(root, "if w2c were camera-to-world");
+
+    let folder = capture();
+    edit(folder.path(), "[4,0,1.5]", "[4,0,7.5]");
+    assert_fault(folder.path(), "the principal point (8, 1) of its 4 x 2 image lies outside");
+
+    let folder = capture();
+    edit(folder.path(), "[4,0,1.5]", "[4,0.5,1.5]");
+    let error = Capture::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("skew of 0.5"), "{error}");
+
+    let folder = capture();
+    fs::copy(folder.path().join("train_meta.json"), folder.path().join("test_meta.json")).unwrap();
+    let told = report(folder.path());
+    assert!(told.notes.iter().any(|n| n.text.contains("a, b also trained on")), "{told}");
+}
+
+#[test]
+fn masks_that_are_inverted_or_cut_outs_are_seen_through() {
+    let folder = capture();
+    for name in ["a/000000.png", "a/000001.png", "b/000000.png", "b/000001.png"] {
+        let cut_out =
+            image::RgbaImage::from_fn(4, 2, |x, _| image::Rgba([9, 8, 7, if x == 0 { 255 } else { 0 }]));
+        save(&folder.path().join("seg").join(name), &cut_out.into());
+    }
+    let cut_out = report(folder.path());
+    assert!(cut_out.is_usable() && cut_out.views.iter().all(|v| v.coverage == 0.25), "{cut_out}");
+    for name in ["a/000000.png", "a/000001.png", "b/000000.png", "b/000001.png"] {
+        let inverted = image::GrayImage::from_fn(4, 2, |x, _| image::Luma([u8::from(x > 0)]));
+        save(&folder.path().join("seg").join(name), &inverted.into());
+    }
+    assert_fault(folder.path(), "2 of 2 cameras have masks that cover most");
 }
 
 #[test]

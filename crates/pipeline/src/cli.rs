@@ -25,6 +25,10 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Make a capture of footage: videos or photographs with a calibration
+    Prepare(crate::prepare::PrepareArgs),
+    /// Write a frame of a capture for other tools
+    Convert(crate::prepare::ConvertArgs),
     /// Show what a capture holds and every fault in it
     Check(CheckArgs),
     /// Reconstruct a capture, frame by frame
@@ -288,6 +292,11 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             print!("{check}");
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }
+        Command::Prepare(args) => {
+            args.log.start();
+            crate::prepare::run(&args)?;
+        }
+        Command::Convert(args) => crate::prepare::convert(&args)?,
         Command::Run(args) => {
             args.log.start();
             let report = crate::run::run(&crate::request::from_args(&args)?)?;

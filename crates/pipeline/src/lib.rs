@@ -12,6 +12,7 @@ mod lanes;
 pub mod manifest;
 mod memory;
 pub mod motion;
+pub mod prepare;
 pub mod record;
 pub mod render;
 mod request;

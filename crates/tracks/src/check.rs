@@ -18,7 +18,16 @@ pub struct TrackerSummary {
     pub tracks: usize,
     /// Rows or pixels left out as not finite or unknown.
     pub dropped: usize,
+    /// Correspondences that start outside of the image.
+    pub outside: usize,
+    /// Of those, how many would start inside with column and row exchanged.
+    pub inside_exchanged: usize,
+    /// Frames for which no view has a file, though other frames have some.
+    pub frames_without: Vec<usize>,
 }
+
+/// More of the tracks than this outside of the image are a mistake and no overshoot at its border.
+const MOST_OUTSIDE: f64 = 0.05;
 
 /// Something that keeps a tracker from being used.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,9 +70,10 @@ fn check_tracker(
     report: &mut TracksReport,
 ) {
     let items: Vec<_> = cameras.iter().flat_map(|camera| (1..frames).map(move |t| (camera, t))).collect();
-    let load =
-        |((name, size), t): (&(String, ImageSize), usize)| count(store.load_counted(tracker, name, t, *size));
-    let counts: Vec<_> = items.into_par_iter().map(load).collect();
+    let load = |((name, size), t): &(&(String, ImageSize), usize)| {
+        count(store.load_counted(tracker, name, *t, *size), *size)
+    };
+    let counts: Vec<_> = items.par_iter().map(load).collect();
     let entry = &store.trackers()[tracker];
     let mut summary = TrackerSummary {
         name: entry.name.clone(),
@@ -72,10 +82,17 @@ fn check_tracker(
         missing: 0,
         tracks: 0,
         dropped: 0,
+        outside: 0,
+        inside_exchanged: 0,
+        frames_without: Vec::new(),
     };
-    for item in counts {
+    let mut with_file = vec![false; frames];
+    for (item, (_, t)) in counts.into_iter().zip(&items) {
         match item {
-            Ok(Some(stats)) => {
+            Ok(Some((stats, outside))) => {
+                with_file[*t] = true;
+                summary.outside += outside.all;
+                summary.inside_exchanged += outside.inside_exchanged;
                 summary.files += 1;
                 summary.tracks += stats.read - stats.dropped;
                 summary.dropped += stats.dropped;
@@ -84,13 +101,32 @@ fn check_tracker(
             Err(error) => report.add(&error.to_string(), error.fix()),
         }
     }
+    if summary.files > 0 {
+        summary.frames_without = (1..frames).filter(|t| !with_file[*t]).collect();
+    }
     report.judge(&summary);
     report.trackers.push(summary);
 }
 
+/// Correspondences that start outside of the image.
+#[derive(Clone, Copy, Default)]
+struct Outside {
+    all: usize,
+    inside_exchanged: usize,
+}
+
 /// Drops the motion at once: only counts are kept.
-fn count(loaded: Loaded) -> Result<Option<LoadStats>, TracksError> {
-    Ok(loaded?.map(|(_, stats)| stats))
+fn count(loaded: Loaded, size: ImageSize) -> Result<Option<(LoadStats, Outside)>, TracksError> {
+    Ok(loaded?.map(|(motion, stats)| (stats, outside(&motion, size))))
+}
+
+fn outside(motion: &ViewMotion, size: ImageSize) -> Outside {
+    let ViewMotion::Tracks(tracks) = motion else { return Outside::default() };
+    let (width, height) = (size.width as f32, size.height as f32);
+    let inside = |x: f32, y: f32| (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
+    let all = tracks.src.iter().filter(|p| !inside(p[0], p[1]));
+    let exchanged = all.clone().filter(|p| inside(p[1], p[0]));
+    Outside { all: all.clone().count(), inside_exchanged: exchanged.count() }
 }
 
 impl TracksReport {
@@ -102,6 +138,28 @@ impl TracksReport {
         } else if *files > 0 && *tracks == 0 {
             let problem = format!("tracker '{name}': zero tracks in all of its {files} files");
             self.add(&problem, "run the tracker again, or remove it from tracks/tracks.json");
+        }
+        if summary.outside as f64 > MOST_OUTSIDE * *tracks as f64 {
+            let problem = format!(
+                "tracker '{name}': {} of {tracks} tracks start outside of the image",
+                summary.outside
+            );
+            let exchanged = 2 * summary.inside_exchanged > summary.outside;
+            let fix = if exchanged {
+                "store src and tgt as column, row: they look like row, column"
+            } else {
+                "store src and tgt in pixels of the capture's images: they look like those of another size"
+            };
+            self.add(&problem, fix);
+        }
+        if !summary.frames_without.is_empty() {
+            let frames =
+                summary.frames_without.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+            let problem = format!("tracker '{name}': no view has a file for frame {frames}");
+            self.add(
+                &problem,
+                "run the tracker for these frames; a file holds the motion from the frame before",
+            );
         }
     }
 

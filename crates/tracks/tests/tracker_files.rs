@@ -160,3 +160,23 @@ fn the_sample_has_every_file() {
     let blind = check(&store, &[("nobody".to_owned(), SIZE)], 6);
     assert_eq!(blind.faults.len(), 3);
 }
+
+#[test]
+fn exchanged_tracks_and_frames_without_any_are_faults() {
+    let (_folder, store, file) = store("medium", "npz");
+    let write = |file: &Path, rows: &[f32]| {
+        NpzWriter::new().f32("src", &[2, 2], rows).f32("tgt", &[2, 2], rows).write(file).unwrap();
+    };
+    let size = ImageSize { width: 9, height: 3 };
+    let faults = |frames| check(&store, &[("cam".into(), size)], frames).to_string();
+    write(&file, &[7.0, 1.0, 5.0, 2.0]);
+    assert!(!faults(2).contains("fault"), "{}", faults(2));
+    assert!(faults(3).contains("no view has a file for frame 2"), "{}", faults(3));
+    write(&file, &[1.0, 7.0, 2.0, 5.0]);
+    assert!(
+        faults(2)
+            .contains("2 of 2 tracks start outside of the image\n  fix: store src and tgt as column, row")
+    );
+    write(&file, &[70.0, 10.0, 50.0, 20.0]);
+    assert!(faults(2).contains("those of another size"), "{}", faults(2));
+}

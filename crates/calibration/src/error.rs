@@ -1,0 +1,70 @@
+use ffgs_arrays::ArraysError;
+use std::io;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// A calibration, or the pictures it belongs to, cannot be used. Every message names the file.
+#[derive(Debug, Error)]
+pub enum CalibrationError {
+    /// A file cannot be read.
+    #[error("{}: {source}", .file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A calibration file is not what its format asks for.
+    #[error("{}: {reason}", .file.display())]
+    Content {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A numpy file is damaged or has another shape.
+    #[error(transparent)]
+    Array(#[from] ArraysError),
+    /// No format recognises the folder.
+    #[error("{}: no calibration was recognised; looked for {looked_for}", .folder.display())]
+    Unrecognised {
+        /// The folder.
+        folder: PathBuf,
+        /// The files that each format asks for.
+        looked_for: String,
+    },
+    /// There is no format of this name.
+    #[error("there is no format '{name}'; the formats are {known}")]
+    NoSuchFormat {
+        /// What was asked for.
+        name: String,
+        /// All names.
+        known: String,
+    },
+}
+
+impl CalibrationError {
+    /// A file with unusable content.
+    pub fn content(file: &Path, reason: impl Into<String>) -> Self {
+        Self::Content { file: file.to_owned(), reason: reason.into() }
+    }
+
+    /// A file that cannot be read.
+    pub fn io(file: &Path, source: io::Error) -> Self {
+        Self::Io { file: file.to_owned(), source }
+    }
+
+    /// What the user can do about it.
+    pub fn fix(&self) -> &'static str {
+        match self {
+            Self::Io { .. } => "add the file or its read permission",
+            Self::Content { .. } | Self::Array(_) => {
+                "export the calibration again, or name another with --format and the folder that holds it"
+            }
+            Self::Unrecognised { .. } => {
+                "put the calibration file beside the videos, or name it with --format"
+            }
+            Self::NoSuchFormat { .. } => "choose one of them, or leave --format out",
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! TOML of caliscope (`camera_array.toml`, `config.toml`) and aniposelib (`calibration.toml`): a table per camera
+//! with `matrix`, `distortions`, `size`, `rotation` (3x3 or a Rodrigues vector) and `translation`, world to camera.
+
+use super::{Format, checked, find_below, intrinsics, read_text, rigid, rodrigues, square, timestamps_near};
+use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
+use ffgs_core::ImageSize;
+use glam::{DMat3, DVec3};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Reads caliscope's and aniposelib's camera lists.
+pub(super) const FORMAT: Format =
+    Format { name: "toml", looks_for: "a .toml with camera matrices (caliscope, aniposelib)", find, read };
+
+fn find(folder: &Path) -> Option<PathBuf> {
+    find_below(folder, &|path| {
+        let text = || std::fs::read_to_string(path).unwrap_or_default();
+        path.extension().is_some_and(|e| e == "toml")
+            && !cameras(&text().parse().unwrap_or_default()).is_empty()
+    })
+}
+
+/// The tables that hold a camera, with the name of their section; caliscope nests them in `[cameras]`.
+fn cameras(table: &Table) -> Vec<(&String, &Table)> {
+    let mut found = Vec::new();
+    for (name, value) in table {
+        let Value::Table(inner) = value else { continue };
+        if inner.contains_key("matrix") && inner.contains_key("translation") {
+            found.push((name, inner));
+        } else {
+            found.extend(cameras(inner));
+        }
+    }
+    found
+}
+
+fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
+    let fail = |reason: String| CalibrationError::content(file, reason);
+    let table: Table = read_text(file)?.parse().map_err(|e: toml::de::Error| fail(e.to_string()))?;
+    let media = Media::find(folder)?;
+    let mut footage = Footage::default();
+    for (section, camera) in cameras(&table) {
+        let names = names(section, camera);
+        if camera.get("ignore").and_then(Value::as_bool) == Some(true) {
+            footage.skipped.push(format!("camera '{}' is marked as ignored", names[0]));
+            continue;
+        }
+        let Some(pictures) = media.of_camera(&names) else {
+            footage.skipped.push(format!(
+                "camera '{}' has no video or folder called {}",
+                names[0],
+                names.join(", ")
+            ));
+            continue;
+        };
+        let camera = source_camera(names[0].clone(), camera, pictures)
+            .map_err(|reason| fail(format!("camera '{}': {reason}", names[0])))?;
+        footage.cameras.push(checked(camera, file)?);
+    }
+    let first = footage.cameras.first().map(|c| match &c.pictures {
+        Pictures::Video(path) => path.clone(),
+        Pictures::Files(files) => files[0].clone(),
+    });
+    footage.timestamps = timestamps_near(file, first.as_deref());
+    footage
+        .assumed
+        .push("lengths are metres, as caliscope writes them (--unit names another unit)".to_owned());
+    Ok(footage)
+}
+
+/// The camera's own name, and the others by which its pictures may go.
+fn names(section: &str, camera: &Table) -> Vec<String> {
+    let text = |key: &str| match camera.get(key) {
+        Some(Value::String(s)) => Some(s.clone()),
+        Some(Value::Integer(i)) => Some(i.to_string()),
+        _ => None,
+    };
+    let ids: Vec<String> = ["name", "cam_id", "port"].iter().filter_map(|key| text(key)).collect();
+    let id = ids.first().cloned().unwrap_or_else(|| section.to_owned());
+    let numeric = id.chars().all(|c| c.is_ascii_digit());
+    let own = if numeric { format!("cam_{id}") } else { id.clone() };
+    let padded = format!("{id:0>2}");
+    let mut names = vec![own, id.clone(), section.to_owned(), format!("port_{id}"), format!("cam{id}")];
+    names.extend([
+        format!("cam{padded}"),
+        format!("cam_{padded}"),
+        format!("cam-{id}"),
+        format!("camera{id}"),
+    ]);
+    names.dedup();
+    names
+}
+
+fn source_camera(name: String, camera: &Table, pictures: Pictures) -> Result<SourceCamera, String> {
+    let k = rows(camera, "matrix").and_then(|r| square(&r)).ok_or("'matrix' is not 3x3")?;
+    let coefficients = flat(camera.get("distortions")).unwrap_or_default();
+    let fisheye = camera.get("fisheye").and_then(Value::as_bool) == Some(true);
+    let distortion =
+        if fisheye { Distortion::fisheye(&coefficients)? } else { Distortion::opencv(&coefficients)? };
+    let size = flat(camera.get("size")).filter(|s| s.len() == 2).ok_or("'size' is not [width, height]")?;
+    let size = ImageSize { width: size[0] as usize, height: size[1] as usize };
+    let translation: [f64; 3] = flat(camera.get("translation"))
+        .and_then(|t| t.try_into().ok())
+        .ok_or("'translation' is not three numbers")?;
+    let pose = rigid(rotation(camera)?, DVec3::from(translation));
+    let lens = Lens::with_integer_centers(intrinsics(k)?, distortion, size);
+    Ok(SourceCamera { name, lens, poses: vec![pose], pictures, masks: None, role: Role::Unsaid })
+}
+
+fn rotation(camera: &Table) -> Result<DMat3, String> {
+    let values = flat(camera.get("rotation")).unwrap_or_default();
+    match values.len() {
+        3 => Ok(rodrigues([values[0], values[1], values[2]])),
+        9 => Ok(DMat3::from_cols_slice(&values).transpose()),
+        n => Err(format!("'rotation' has {n} numbers: 9 (a matrix) or 3 (a Rodrigues vector) are known")),
+    }
+}
+
+fn rows(camera: &Table, key: &str) -> Option<Vec<Vec<f64>>> {
+    camera.get(key)?.as_array()?.iter().map(|row| flat(Some(row))).collect()
+}
+
+/// All numbers of nested arrays, row by row.
+fn flat(value: Option<&Value>) -> Option<Vec<f64>> {
+    match value? {
+        Value::Array(entries) => Some(
+            entries
+                .iter()
+                .map(|v| flat(Some(v)))
+                .collect::<Option<Vec<_>>>()?
+                .into_iter()
+                .flatten()
+                .collect(),
+        ),
+        Value::Float(v) => Some(vec![*v]),
+        Value::Integer(v) => Some(vec![*v as f64]),
+        _ => None,
+    }
+}

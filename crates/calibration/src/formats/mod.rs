@@ -1,0 +1,149 @@
+//! One file per calibration format.
+
+mod camera_toml;
+mod colmap;
+mod colmap_binary;
+mod colmap_text;
+mod dynamic3dgs;
+mod opencv_yaml;
+mod panoptic;
+mod poses_bounds;
+mod transforms;
+
+use crate::media::{is_footage, natural_order};
+use crate::{CalibrationError, Footage, SourceCamera};
+use ffgs_core::{Camera, ImageSize, Intrinsics};
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A format in which calibrations come.
+#[derive(Clone, Copy, Debug)]
+pub struct Format {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// The file by which it is recognised, for messages.
+    pub looks_for: &'static str,
+    /// The calibration in or below a folder.
+    pub find: fn(&Path) -> Option<PathBuf>,
+    /// Reads that calibration and finds its pictures below the folder (the first argument).
+    pub read: fn(&Path, &Path) -> Result<Footage, CalibrationError>,
+}
+
+/// All formats, in the order in which they are tried.
+pub const FORMATS: [Format; 7] = [
+    dynamic3dgs::FORMAT,
+    panoptic::FORMAT,
+    poses_bounds::FORMAT,
+    transforms::FORMAT,
+    opencv_yaml::FORMAT,
+    camera_toml::FORMAT,
+    colmap::FORMAT,
+];
+
+/// The format called `name`, or the first that recognises the folder, and its calibration file.
+///
+/// # Errors
+/// When there is no such format, or no format finds its calibration.
+pub fn detect(folder: &Path, name: Option<&str>) -> Result<(Format, PathBuf), CalibrationError> {
+    let list = |text: fn(&Format) -> &str| FORMATS.iter().map(text).collect::<Vec<_>>().join(", ");
+    let named = |f: &&Format| name.is_none_or(|name| f.name == name);
+    let mut formats = FORMATS.iter().filter(named).peekable();
+    if formats.peek().is_none() {
+        let name = name.unwrap_or_default().to_owned();
+        return Err(CalibrationError::NoSuchFormat { name, known: list(|f| f.name) });
+    }
+    let mut found = formats.clone().filter_map(|f| Some((*f, (f.find)(folder)?)));
+    found.next().ok_or_else(|| {
+        let looked_for = formats.map(|f| f.looks_for).collect::<Vec<_>>().join(", ");
+        CalibrationError::Unrecognised { folder: folder.to_owned(), looked_for }
+    })
+}
+
+/// How far below the footage's folder a calibration is looked for.
+const DEPTH: usize = 3;
+
+/// The first path (shallowest, then in natural order) in or below `folder` that `fits`.
+fn find_below(folder: &Path, fits: &dyn Fn(&Path) -> bool) -> Option<PathBuf> {
+    let mut level = vec![folder.to_owned()];
+    for _ in 0..DEPTH {
+        let mut entries: Vec<PathBuf> =
+            level.iter().filter_map(|f| fs::read_dir(f).ok()).flatten().flatten().map(|e| e.path()).collect();
+        entries.retain(|p| is_footage(p));
+        entries.sort_by(|a, b| natural_order(a, b));
+        if let Some(found) = entries.iter().find(|p| fits(p)) {
+            return Some(found.clone());
+        }
+        level = entries.into_iter().filter(|p| p.is_dir()).collect();
+    }
+    None
+}
+
+fn file_called(folder: &Path, name: &str) -> Option<PathBuf> {
+    find_below(folder, &|path| path.is_file() && path.file_name().is_some_and(|n| n == name))
+}
+
+fn read_text(file: &Path) -> Result<String, CalibrationError> {
+    fs::read_to_string(file).map_err(|e| CalibrationError::io(file, e))
+}
+
+/// Refuses what is no camera, by the rules of [`Camera`].
+fn checked(camera: SourceCamera, file: &Path) -> Result<SourceCamera, CalibrationError> {
+    for pose in &camera.poses {
+        let pinhole = Camera::new(camera.lens.intrinsics, *pose, camera.lens.size);
+        pinhole.map_err(|e| CalibrationError::content(file, format!("camera '{}': {e}", camera.name)))?;
+    }
+    Ok(camera)
+}
+
+/// `timestamps.csv` beside the calibration or in the folder of the first video.
+fn timestamps_near(file: &Path, first_picture: Option<&Path>) -> Option<PathBuf> {
+    let folders = [first_picture.and_then(Path::parent), file.parent()];
+    folders.into_iter().flatten().map(|f| f.join("timestamps.csv")).find(|p| p.is_file())
+}
+
+/// Width and height from the header of an image.
+fn image_size(file: &Path) -> Result<ImageSize, CalibrationError> {
+    let (width, height) =
+        image::image_dimensions(file).map_err(|e| CalibrationError::content(file, e.to_string()))?;
+    Ok(ImageSize { width: width as usize, height: height as usize })
+}
+
+/// Rows of a 3x3 camera matrix; skew is refused, as no lens of today has it.
+fn intrinsics(rows: [[f64; 3]; 3]) -> Result<Intrinsics, String> {
+    let [[fx, skew, cx], [_, fy, cy], _] = rows;
+    // A thousandth of the focal length moves the image's edge by less than a pixel.
+    if skew.abs() > 1e-3 * fx.abs() {
+        return Err(format!("the camera matrix has a skew of {skew}: skewed pixels are not supported"));
+    }
+    Ok(Intrinsics { fx, fy, cx, cy })
+}
+
+/// A pose from the rows of a rotation and a translation.
+fn pose(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> DMat4 {
+    let rotation = DMat3::from_cols_array_2d(&rotation).transpose();
+    rigid(rotation, DVec3::from(translation))
+}
+
+fn rigid(rotation: DMat3, translation: DVec3) -> DMat4 {
+    let mut m = DMat4::from_mat3(rotation);
+    m.w_axis = translation.extend(1.0);
+    m
+}
+
+/// Rotation by a vector's length about its direction (Rodrigues).
+fn rodrigues(vector: [f64; 3]) -> DMat3 {
+    DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from(vector)))
+}
+
+/// World-to-camera with OpenCV axes from camera-to-world with OpenGL axes (x right, y up, z back).
+fn from_opengl(world_from_camera: DMat4) -> DMat4 {
+    let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
+    (world_from_camera * flip).inverse()
+}
+
+/// A 3x3 matrix of JSON or TOML rows.
+fn square(rows: &[Vec<f64>]) -> Option<[[f64; 3]; 3]> {
+    let row = |i: usize| -> Option<[f64; 3]> { rows.get(i)?.as_slice().try_into().ok() };
+    (rows.len() == 3).then_some([row(0)?, row(1)?, row(2)?])
+}

@@ -1,0 +1,163 @@
+use crate::{CalibrationError, Pictures};
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// How far below the footage's folder pictures are looked for.
+const DEPTH: usize = 4;
+const VIDEOS: [&str; 8] = ["mp4", "mov", "mkv", "avi", "m4v", "webm", "mpg", "mts"];
+const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
+/// Folders whose pictures are masks or a program's own output, not footage.
+const NOT_FOOTAGE: [&str; 9] =
+    ["mask", "masks", "seg", "bgmask", "bgmasks", "depth", "depths", "motion_masks", "sparse"];
+
+/// The videos and image folders below a folder.
+#[derive(Clone, Debug, Default)]
+pub struct Media {
+    videos: Vec<PathBuf>,
+    /// Folder to its images, in natural order.
+    folders: BTreeMap<PathBuf, Vec<PathBuf>>,
+}
+
+impl Media {
+    /// Looks through `folder`. Hidden files and folders of masks are passed over.
+    pub fn find(folder: &Path) -> Result<Self, CalibrationError> {
+        let mut media = Self::default();
+        media.visit(folder, DEPTH)?;
+        media.videos.sort_by(|a, b| natural_order(a, b));
+        media.folders.values_mut().for_each(|files| files.sort_by(|a, b| natural_order(a, b)));
+        Ok(media)
+    }
+
+    /// All videos, in natural order of their paths.
+    pub fn videos(&self) -> &[PathBuf] {
+        &self.videos
+    }
+
+    /// Image folders with at least one image.
+    pub fn folders(&self) -> impl Iterator<Item = (&PathBuf, &[PathBuf])> {
+        self.folders.iter().map(|(folder, files)| (folder, files.as_slice()))
+    }
+
+    /// The video or image folder of a camera that goes by one of `names`. A name fits a whole file stem or folder
+    /// name; case does not matter. The first name that fits wins; of several files with it the shallowest does.
+    pub fn of_camera(&self, names: &[String]) -> Option<Pictures> {
+        names.iter().find_map(|name| self.named(name))
+    }
+
+    fn named(&self, name: &str) -> Option<Pictures> {
+        let fits = |path: &&PathBuf| stem(path).eq_ignore_ascii_case(name);
+        let depth = |path: &&PathBuf| path.components().count();
+        let video = self.videos.iter().filter(fits).min_by_key(depth);
+        let folder = || self.folders.keys().filter(|p| is_named(p, name)).min_by_key(depth);
+        video
+            .map(|v| Pictures::Video(v.clone()))
+            .or_else(|| Some(Pictures::Files(self.folders[folder()?].clone())))
+    }
+
+    fn visit(&mut self, folder: &Path, depth: usize) -> Result<(), CalibrationError> {
+        let entries = fs::read_dir(folder).map_err(|e| CalibrationError::io(folder, e))?;
+        for entry in entries {
+            let path = entry.map_err(|e| CalibrationError::io(folder, e))?.path();
+            if is_footage(&path) {
+                self.take(path, depth)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, path: PathBuf, depth: usize) -> Result<(), CalibrationError> {
+        if path.is_dir() {
+            let footage = !NOT_FOOTAGE.iter().any(|name| is_named(&path, name));
+            return if depth > 0 && footage { self.visit(&path, depth - 1) } else { Ok(()) };
+        }
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if VIDEOS.contains(&ending.as_str()) {
+            self.videos.push(path);
+        } else if IMAGES.contains(&ending.as_str()) {
+            let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+            self.folders.entry(folder).or_default().push(path);
+        }
+        Ok(())
+    }
+}
+
+/// Not hidden, and not a capture that was prepared of the footage beside it.
+pub(crate) fn is_footage(path: &Path) -> bool {
+    let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+    !hidden && !path.join("prepare.json").exists()
+}
+
+/// The file name without folder and ending.
+pub(crate) fn stem(path: &Path) -> String {
+    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Images of one folder in natural order; none when there is no such folder.
+pub(crate) fn images_in(folder: &Path) -> Vec<PathBuf> {
+    let mut media = Media::default();
+    // A folder that cannot be read has no images for us; the caller reports that.
+    let _ = media.visit(folder, 0);
+    let mut files = media.folders.remove(folder).unwrap_or_default();
+    files.sort_by(|a, b| natural_order(a, b));
+    files
+}
+
+fn is_named(path: &Path, name: &str) -> bool {
+    path.file_name().is_some_and(|n| n.to_string_lossy().eq_ignore_ascii_case(name))
+}
+
+/// Orders `cam2` before `cam10`: digits compare by value.
+pub(crate) fn natural_order(a: &Path, b: &Path) -> Ordering {
+    let parts = |p: &Path| chunks(&p.to_string_lossy());
+    parts(a).cmp(&parts(b)).then_with(|| a.cmp(b))
+}
+
+/// Runs of digits and of other characters; digits as (length without leading zeros, text).
+fn chunks(text: &str) -> Vec<(bool, usize, String)> {
+    let mut out: Vec<(bool, usize, String)> = Vec::new();
+    for c in text.chars() {
+        match out.last_mut() {
+            Some((digits, _, run)) if *digits == c.is_ascii_digit() => run.push(c),
+            _ => out.push((c.is_ascii_digit(), 0, c.to_string())),
+        }
+    }
+    for (digits, length, run) in &mut out {
+        if *digits {
+            *run = run.trim_start_matches('0').to_owned();
+            *length = run.len();
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_order_by_value() {
+        let mut names: Vec<PathBuf> =
+            ["c10.png", "c9.png", "c009a.png", "b11.png"].iter().map(PathBuf::from).collect();
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["b11.png", "c9.png", "c009a.png", "c10.png"].map(PathBuf::from));
+    }
+
+    #[test]
+    fn a_camera_is_found_by_any_of_its_names() {
+        let folder = tempfile::tempdir().unwrap();
+        for file in
+            ["videos/cam_1.mp4", "deep/er/CAM_1.mp4", "images/03/1.png", "masks/04/1.png", ".x/cam_5.mp4"]
+        {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        let media = Media::find(folder.path()).unwrap();
+        let of = |names: &[&str]| media.of_camera(&names.iter().map(ToString::to_string).collect::<Vec<_>>());
+        assert_eq!(of(&["1", "cam_1"]), Some(Pictures::Video(folder.path().join("videos/cam_1.mp4"))));
+        assert_eq!(of(&["03"]), Some(Pictures::Files(vec![folder.path().join("images/03/1.png")])));
+        assert_eq!((of(&["04"]), of(&["cam_5"])), (None, None));
+    }
+}

@@ -1,0 +1,331 @@
+//! One rig, written by hand in every format, must come back the same.
+
+use ffgs_calibration::{Distortion, Footage, Pictures, SourceCamera, detect};
+use glam::{DMat3, DMat4, DVec2, DVec3};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+const WIDTH: u32 = 64;
+const HEIGHT: u32 = 48;
+const K: [f64; 4] = [70.0, 72.0, 33.5, 22.25];
+const BROWN: [f64; 5] = [-0.11, 0.02, 0.001, -0.002, 0.003];
+
+/// Two cameras two metres from the origin, a quarter turn about the vertical (y down) apart.
+fn poses() -> [DMat4; 2] {
+    [0.2, 0.2 + std::f64::consts::FRAC_PI_2].map(|angle: f64| {
+        let rotation = DMat3::from_rotation_x(0.1) * DMat3::from_rotation_y(angle);
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = DVec3::new(0.1, -0.2, 2.0).extend(1.0);
+        pose
+    })
+}
+
+fn folder(files: &[&str]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for file in files {
+        let path = folder.path().join(file);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        image::RgbImage::new(WIDTH, HEIGHT).save(path).unwrap();
+    }
+    folder
+}
+
+fn write(folder: &TempDir, name: &str, text: &str) {
+    let path = folder.path().join(name);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+fn read(folder: &Path, format: &str) -> Footage {
+    let (found, file) = detect(folder, None).unwrap();
+    assert_eq!(found.name, format);
+    (found.read)(folder, &file).unwrap()
+}
+
+/// Compares with the rig; pixels to a thousandth, wherever the format counts them from.
+fn assert_rig(cameras: &[SourceCamera], distorted: bool) {
+    assert_eq!(cameras.len(), 2);
+    let brown = if distorted { Distortion::opencv(&BROWN).unwrap() } else { Distortion::None };
+    for (camera, pose) in cameras.iter().zip(poses()) {
+        for point in [DVec3::new(0.1, 0.2, -0.1), DVec3::new(-0.3, 0.1, 0.2)] {
+            let to = |pose: &DMat4| {
+                let p = pose.transform_point3(point);
+                DVec2::new(p.x / p.z, p.y / p.z)
+            };
+            let bent = brown.distort(to(&pose));
+            let wanted = DVec2::new(K[0] * bent.x + K[2], K[1] * bent.y + K[3]);
+            let found = camera.lens.pixel(to(&camera.poses[0]));
+            assert!((found - wanted).length() < 1e-3, "{}: {found}, wanted {wanted}", camera.name);
+            assert!((camera.poses[0].transform_point3(point) - pose.transform_point3(point)).length() < 1e-6);
+        }
+        assert_eq!((camera.lens.size.width, camera.lens.size.height), (WIDTH as usize, HEIGHT as usize));
+    }
+}
+
+fn rows(m: DMat3) -> String {
+    let r = m.transpose();
+    let row = |v: DVec3| format!("[{}, {}, {}]", v.x, v.y, v.z);
+    format!("[{}, {}, {}]", row(r.x_axis), row(r.y_axis), row(r.z_axis))
+}
+
+/// The camera matrix of OpenCV's convention: the first pixel's centre is 0.
+fn opencv_matrix() -> String {
+    format!("[[{}, 0, {}], [0, {}, {}], [0, 0, 1]]", K[0], K[2] - 0.5, K[1], K[3] - 0.5)
+}
+
+#[test]
+fn caliscope_and_aniposelib() {
+    for vector in [false, true] {
+        let pictures = folder(&["cam_0/1.png", "cam_1/1.png"]);
+        let mut text = String::new();
+        for (i, pose) in poses().iter().enumerate() {
+            let rotation = DMat3::from_mat4(*pose);
+            let (axis, angle) = glam::DQuat::from_mat3(&rotation).to_axis_angle();
+            let v = axis * angle;
+            let rotation = if vector { format!("[{}, {}, {}]", v.x, v.y, v.z) } else { rows(rotation) };
+            let heading = if vector {
+                format!("[cam_{i}]\nname = \"cam_{i}\"")
+            } else {
+                format!("[cameras.{i}]\ncam_id = {i}")
+            };
+            let camera = format!(
+                "{heading}\nsize = [{WIDTH}, {HEIGHT}]\nmatrix = {}\ndistortions = {BROWN:?}\nrotation = {rotation}\n\
+                 translation = [0.1, -0.2, 2.0]\n",
+                opencv_matrix()
+            );
+            text.push_str(&camera);
+        }
+        write(&pictures, "calibration.toml", &text);
+        assert_rig(&read(pictures.path(), "toml").cameras, true);
+    }
+}
+
+#[test]
+fn nerfstudio_with_opengl_axes_and_a_missing_picture() {
+    let pictures = folder(&["images/a.png", "images/b.png"]);
+    let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
+    let frames: Vec<String> = ["images/a.png", "./images/b", "images/gone.png"]
+        .iter()
+        .enumerate()
+        .map(|(i, file)| {
+            let m = (poses()[i % 2].inverse() * flip).transpose().to_cols_array_2d();
+            format!(r#"{{"file_path": "{file}", "transform_matrix": {m:?}}}"#)
+        })
+        .collect();
+    let [k1, k2, p1, p2, k3] = BROWN;
+    let text = format!(
+        r#"{{"fl_x": {}, "fl_y": {}, "cx": {}, "cy": {}, "w": {WIDTH}, "h": {HEIGHT}.0, "camera_model": "OPENCV",
+        "k1": {k1}, "k2": {k2}, "p1": {p1}, "p2": {p2}, "k3": {k3}, "frames": [{}]}}"#,
+        K[0],
+        K[1],
+        K[2],
+        K[3],
+        frames.join(", ")
+    );
+    write(&pictures, "transforms.json", &text);
+    let footage = read(pictures.path(), "transforms");
+    assert_rig(&footage.cameras, true);
+    assert!(footage.skipped.iter().any(|s| s.contains("gone.png")));
+}
+
+#[test]
+fn easyvolcap() {
+    let pictures =
+        folder(&["images/01/000.png", "images/02/000.png", "masks/01/000.png", "masks/02/000.png"]);
+    let (mut intri, mut extri) = ("%YAML:1.0\n---\n".to_owned(), "%YAML:1.0\n---\n".to_owned());
+    let matrix = |name: &str, values: &str, rows: usize| {
+        format!("{name}: !!opencv-matrix\n  rows: {rows}\n  cols: 1\n  dt: d\n  data: [{values}]\n")
+    };
+    for (name, pose) in ["01", "02"].iter().zip(poses()) {
+        let k = opencv_matrix().replace(['[', ']'], "");
+        intri += &matrix(&format!("K_{name}"), &k, 3);
+        intri += &matrix(&format!("dist_{name}"), &format!("{BROWN:?}").replace(['[', ']'], ""), 5);
+        extri += &matrix(&format!("Rot_{name}"), &rows(DMat3::from_mat4(pose)).replace(['[', ']'], ""), 3);
+        extri += &matrix(&format!("T_{name}"), "0.1, -0.2, 2.0", 3);
+    }
+    write(&pictures, "intri.yml", &intri);
+    write(&pictures, "extri.yml", &extri);
+    let footage = read(pictures.path(), "easyvolcap");
+    assert_rig(&footage.cameras, true);
+    assert!(footage.cameras.iter().all(|c| matches!(&c.masks, Some(Pictures::Files(m)) if m.len() == 1)));
+}
+
+#[test]
+fn panoptic_in_centimetres() {
+    let pictures = folder(&["hdImgs/00_00/1.png", "hdImgs/00_01/1.png"]);
+    let camera = |i: usize| {
+        let r = rows(DMat3::from_mat4(poses()[i]));
+        format!(
+            r#"{{"name": "00_0{i}", "type": "hd", "resolution": [{WIDTH}, {HEIGHT}], "K": {},
+            "distCoef": {BROWN:?}, "R": {r}, "t": [[0.1], [-0.2], [2.0]]}}"#,
+            opencv_matrix()
+        )
+    };
+    let text = format!(r#"{{"cameras": [{}, {}]}}"#, camera(0), camera(1));
+    write(&pictures, "calibration_171204_pose1.json", &text);
+    let footage = read(pictures.path(), "panoptic");
+    assert_rig(&footage.cameras, true);
+    assert_eq!(footage.metres_per_unit, Some(0.01));
+}
+
+#[test]
+fn n3dv_with_columns_down_right_back() {
+    let pictures = folder(&["images/cam00.png", "images/cam01.png"]);
+    let mut rows = Vec::new();
+    for pose in poses() {
+        let m = pose.inverse();
+        let (right, down, forward, centre) = (m.x_axis, m.y_axis, m.z_axis, m.w_axis);
+        let hwf = [f64::from(HEIGHT), f64::from(WIDTH), 70.0];
+        for i in 0..3 {
+            rows.extend([down[i], right[i], -forward[i], centre[i], hwf[i]]);
+        }
+        rows.extend([1.0, 9.0]);
+    }
+    fs::write(pictures.path().join("poses_bounds.npy"), npy_of(&rows)).unwrap();
+    let cameras = read(pictures.path(), "n3dv").cameras;
+    for (camera, pose) in cameras.iter().zip(poses()) {
+        assert!((camera.poses[0] - pose).to_cols_array().iter().all(|v| v.abs() < 1e-9));
+        assert_eq!((camera.lens.intrinsics.cx, camera.lens.intrinsics.cy), (32.0, 24.0));
+    }
+    fs::remove_file(pictures.path().join("images/cam01.png")).unwrap();
+    let (format, file) = detect(pictures.path(), Some("n3dv")).unwrap();
+    let error = (format.read)(pictures.path(), &file).unwrap_err().to_string();
+    assert!(error.contains("2 poses, but 1"), "{error}");
+}
+
+/// numpy's format, version 1.0.
+fn npy_of(rows: &[f64]) -> Vec<u8> {
+    let mut header =
+        format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 17), }}", rows.len() / 17);
+    while (10 + header.len() + 1) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut out = b"\x93NUMPY\x01\x00".to_vec();
+    out.extend((header.len() as u16).to_le_bytes());
+    out.extend(header.bytes());
+    out.extend(rows.iter().flat_map(|v| v.to_le_bytes()));
+    out
+}
+
+fn quaternions() -> Vec<[f64; 4]> {
+    poses()
+        .iter()
+        .map(|p| glam::DQuat::from_mat3(&DMat3::from_mat4(*p)))
+        .map(|q| [q.w, q.x, q.y, q.z])
+        .collect()
+}
+
+#[test]
+fn colmap_text_and_binary_agree() {
+    let pictures = folder(&["images/a.png", "images/b.png"]);
+    let q = quaternions();
+    let [k1, k2, p1, p2, k3] = BROWN;
+    let [fx, fy, cx, cy] = K;
+    let camera =
+        format!("# c\n7 FULL_OPENCV {WIDTH} {HEIGHT} {fx} {fy} {cx} {cy} {k1} {k2} {p1} {p2} {k3} 0 0 0\n");
+    let image = |i: usize, name: &str| {
+        let [w, x, y, z] = q[i];
+        format!("{} {w} {x} {y} {z} 0.1 -0.2 2.0 7 {name}\n1.0 2.0 -1\n", i + 1)
+    };
+    write(&pictures, "sparse/0/cameras.txt", &camera);
+    write(&pictures, "sparse/0/images.txt", &(image(0, "a.png") + &image(1, "b.png")));
+    write(&pictures, "sparse/0/points3D.txt", "1 0.5 0.25 -1 10 20 30 0.1 1 0\n");
+    let text = read(pictures.path(), "colmap");
+    assert_rig(&text.cameras, true);
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        fs::remove_file(pictures.path().join("sparse/0").join(name)).unwrap();
+    }
+    let f = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let u = |v: u64| v.to_le_bytes().to_vec();
+    let i = |v: u32| v.to_le_bytes().to_vec();
+    let parameters = [fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0];
+    let cameras = [u(1), i(7), i(6), u(WIDTH.into()), u(HEIGHT.into()), f(&parameters)].concat();
+    let image = |n: usize, name: &[u8]| {
+        [
+            i(n as u32 + 1),
+            f(&q[n]),
+            f(&[0.1, -0.2, 2.0]),
+            i(7),
+            name.to_vec(),
+            vec![0],
+            u(1),
+            f(&[1.0, 2.0]),
+            u(9),
+        ]
+        .concat()
+    };
+    let images = [u(2), image(0, b"a.png"), image(1, b"b.png")].concat();
+    let points = [u(1), u(1), f(&[0.5, 0.25, -1.0]), vec![10, 20, 30], f(&[0.1]), u(1), i(1), i(0)].concat();
+    for (name, data) in [("cameras", &cameras), ("images", &images), ("points3D", &points)] {
+        fs::write(pictures.path().join(format!("sparse/0/{name}.bin")), data).unwrap();
+    }
+    let binary = read(pictures.path(), "colmap");
+    assert_rig(&binary.cameras, true);
+    assert_eq!((binary.points.len(), binary.points[0]), (1, text.points[0]));
+    fs::write(pictures.path().join("sparse/0/images.bin"), &images[..images.len() - 20]).unwrap();
+    let (format, file) = detect(pictures.path(), None).unwrap();
+    assert!((format.read)(pictures.path(), &file).unwrap_err().to_string().contains("truncated"));
+}
+
+#[test]
+fn a_colmap_model_per_frame() {
+    let pictures = folder(&[
+        "frame_0/images/a.png",
+        "frame_0/images/b.png",
+        "frame_1/images/a.png",
+        "frame_1/images/b.png",
+    ]);
+    for frame in 0..2 {
+        let camera = format!("1 PINHOLE {WIDTH} {HEIGHT} {} {} {} {}\n", K[0], K[1], K[2], K[3]);
+        let q = quaternions();
+        let image = |i: usize, name: &str| {
+            let [w, x, y, z] = q[i];
+            format!("{} {w} {x} {y} {z} 0.1 -0.2 {} 1 {name}\n\n", i + 1, 2.0 + f64::from(frame))
+        };
+        write(&pictures, &format!("frame_{frame}/sparse/cameras.txt"), &camera);
+        write(
+            &pictures,
+            &format!("frame_{frame}/sparse/images.txt"),
+            &(image(0, "a.png") + &image(1, "b.png")),
+        );
+    }
+    let footage = read(pictures.path(), "colmap");
+    assert_rig(&footage.cameras, false);
+    assert!(footage.cameras.iter().all(|c| c.poses.len() == 2 && c.poses[1].w_axis.z == 3.0));
+}
+
+#[test]
+fn a_capture_is_footage_too() {
+    let pictures = folder(&["ims/a/0.png", "ims/b/0.png", "seg/a/0.png", "seg/b/0.png"]);
+    let k = format!("[[{}, 0, {}], [0, {}, {}], [0, 0, 1]]", K[0], K[2], K[1], K[3]);
+    let pose = |i: usize| format!("{:?}", poses()[i].transpose().to_cols_array_2d());
+    let text = format!(
+        r#"{{"w": {WIDTH}, "h": {HEIGHT}, "k": [[{k}, {k}]], "w2c": [[{}, {}]], "fn": [["a/0.png", "b/0.png"]], "cam_id": [[0, 1]]}}"#,
+        pose(0),
+        pose(1)
+    );
+    write(&pictures, "train_meta.json", &text);
+    let footage = read(pictures.path(), "dynamic3dgs");
+    assert_rig(&footage.cameras, false);
+    assert!(footage.cameras.iter().all(|c| c.masks.is_some()));
+}
+
+#[test]
+fn what_is_no_calibration_is_told() {
+    let empty = tempfile::tempdir().unwrap();
+    let error = detect(empty.path(), None).unwrap_err().to_string();
+    assert!(error.contains("transforms.json") && error.contains("poses_bounds.npy"), "{error}");
+    assert!(detect(empty.path(), Some("mp3")).unwrap_err().to_string().contains("colmap"));
+    let pictures = folder(&["cam_0/1.png", "cam_1/1.png"]);
+    let broken = format!(
+        "[cam_0]\nsize = [{WIDTH}, {HEIGHT}]\nmatrix = {}\ndistortions = []\nrotation = [nan, 0.0, 0.0]\n\
+         translation = [0.0, 0.0, 2.0]\n",
+        opencv_matrix()
+    );
+    write(&pictures, "calibration.toml", &broken);
+    let (format, file) = detect(pictures.path(), None).unwrap();
+    let error = (format.read)(pictures.path(), &file).unwrap_err().to_string();
+    assert!(error.contains("camera 'cam_0'") && error.contains("not finite"), "{error}");
+}

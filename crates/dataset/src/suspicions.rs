@@ -1,0 +1,165 @@
+//! Gross mistakes that a capture's cameras, points and masks give away.
+
+use crate::{Capture, Fault, Note, PointCloud, Split, ViewSummary};
+use ffgs_core::Camera;
+use glam::{DMat4, DVec3};
+
+/// Poses are taken for inverted when fewer than this part of the points is seen,
+const FEW_SEEN: f64 = 0.25;
+/// and the inverted poses see this many times as many.
+const FAR_MORE_SEEN: f64 = 2.0;
+/// Masks are taken for inverted when they cover more than this part of the images and of their borders.
+const INVERTED: f64 = 0.6;
+/// Principal points farther from the image's middle than this part of its side are told.
+const OFF_CENTRE: f64 = 0.2;
+/// Brightness of the cameras may differ by this factor before it is told.
+const EXPOSURE_RATIO: f64 = 1.4;
+/// Distances from cameras to points (m) outside of this are told: a desk has more, a stadium less.
+const PLAUSIBLE_METRES: (f64, f64) = (0.1, 1000.0);
+
+/// What is found from the cameras of frame 0, the points and what was counted of every view.
+pub(crate) fn find(capture: &Capture, points: &PointCloud, views: &[ViewSummary]) -> (Vec<Fault>, Vec<Note>) {
+    let (mut faults, mut notes) = (Vec::new(), Vec::new());
+    let train = cameras(capture, Split::Train);
+    faults.extend(inverted_poses(capture, &train, points));
+    faults.extend(inverted_masks(capture, views));
+    for split in Split::ALL {
+        let file = capture.root().join(split.meta_file());
+        for (name, camera) in cameras(capture, split) {
+            let (found, told) = principal_point(&name, &camera);
+            let fix = "scale the intrinsics with the images: they belong to another size".to_owned();
+            faults.extend(found.map(|problem| Fault { file: file.clone(), problem, fix }));
+            notes.extend(told.map(|text| Note { file: file.clone(), text }));
+        }
+    }
+    notes.extend(shared_cameras(capture, &train));
+    notes.extend(distances(capture, &train, points));
+    notes.extend(exposure(capture, views));
+    (faults, notes)
+}
+
+fn cameras(capture: &Capture, split: Split) -> Vec<(String, Camera)> {
+    let views = capture.views(split).iter().enumerate();
+    views.filter_map(|(v, view)| Some((view.name.clone(), capture.camera(split, v, 0).ok()?))).collect()
+}
+
+/// Mean part of the points that the cameras see.
+fn seen(cameras: &[Camera], points: &PointCloud) -> f64 {
+    // A thousand points tell as much as all.
+    let step = points.len().div_ceil(1000).max(1);
+    let chosen: Vec<DVec3> = points.positions.iter().step_by(step).map(|p| p.map(f64::from).into()).collect();
+    let count = |c: &Camera| chosen.iter().filter(|p| c.pixel_of(**p).is_some()).count();
+    let all = (chosen.len() * cameras.len()).max(1);
+    cameras.iter().map(count).sum::<usize>() as f64 / all as f64
+}
+
+fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &PointCloud) -> Option<Fault> {
+    let as_given: Vec<Camera> = train.iter().map(|(_, c)| *c).collect();
+    let turned = |change: &dyn Fn(DMat4) -> DMat4| -> Vec<Camera> {
+        let camera = |c: &Camera| Camera::new(c.intrinsics(), change(c.camera_from_world()), c.size()).ok();
+        as_given.iter().filter_map(camera).collect()
+    };
+    let now = seen(&as_given, points);
+    if points.is_empty() || now >= FEW_SEEN {
+        return None;
+    }
+    let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
+    let cases: [(&str, &dyn Fn(DMat4) -> DMat4); 3] = [
+        ("in OpenGL's axes (y up, z back)", &|m| flip * m),
+        ("camera-to-world in OpenGL's axes", &|m| flip * m.inverse()),
+        // The last of equals wins, and this is the commonest mistake.
+        ("camera-to-world", &|m| m.inverse()),
+    ];
+    let (name, then) = cases
+        .into_iter()
+        .map(|(name, change)| (name, seen(&turned(change), points)))
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (then > FAR_MORE_SEEN * now && then > FEW_SEEN).then(|| Fault {
+        file: capture.root().join(Split::Train.meta_file()),
+        problem: format!(
+            "the cameras see {:.0} % of the points; if w2c were {name}, they would see {:.0} %",
+            now * 100.0,
+            then * 100.0
+        ),
+        fix: "store w2c as world-to-camera with x right, y down, z forward".into(),
+    })
+}
+
+fn inverted_masks(capture: &Capture, views: &[ViewSummary]) -> Option<Fault> {
+    let with_masks: Vec<_> = views.iter().filter(|v| v.split == Split::Train && v.masks > 0).collect();
+    let inverted =
+        with_masks.iter().filter(|v| v.coverage > INVERTED && v.border_coverage > INVERTED).count();
+    (2 * inverted > with_masks.len()).then(|| Fault {
+        file: capture.root().join("seg"),
+        problem: format!(
+            "{inverted} of {} cameras have masks that cover most of the image and of its border",
+            with_masks.len()
+        ),
+        fix: "write the moving objects as not 0, the rest as 0 (are the masks inverted?)".into(),
+    })
+}
+
+/// A principal point outside of the image is a fault, one far from its middle is told.
+fn principal_point(name: &str, camera: &Camera) -> (Option<String>, Option<String>) {
+    let (k, size) = (camera.intrinsics(), camera.size());
+    let (width, height) = (size.width as f64, size.height as f64);
+    let text = format!(
+        "camera '{name}': the principal point ({:.0}, {:.0}) of its {} x {} image",
+        k.cx, k.cy, size.width, size.height
+    );
+    let inside = (0.0..=width).contains(&k.cx) && (0.0..=height).contains(&k.cy);
+    let off = ((k.cx / width - 0.5).abs()).max((k.cy / height - 0.5).abs()) > OFF_CENTRE;
+    match (inside, off) {
+        (false, _) => (Some(format!("{text} lies outside")), None),
+        (true, true) => {
+            (None, Some(format!("{text} is far from the middle: do the intrinsics belong to this size?")))
+        }
+        _ => (None, None),
+    }
+}
+
+/// Test cameras that are trained on measure nothing.
+fn shared_cameras(capture: &Capture, train: &[(String, Camera)]) -> Option<Note> {
+    let same = |c: &Camera| {
+        train.iter().any(|(_, t)| {
+            t.center().distance(c.center()) < 1e-9 && t.rotation().abs_diff_eq(c.rotation(), 1e-9)
+        })
+    };
+    let names: Vec<String> =
+        cameras(capture, Split::Test).into_iter().filter(|(_, c)| same(c)).map(|(name, _)| name).collect();
+    (!names.is_empty()).then(|| Note {
+        file: capture.root().join(Split::Test.meta_file()),
+        text: format!("{} also trained on: their figures say nothing of new views", names.join(", ")),
+    })
+}
+
+fn distances(capture: &Capture, train: &[(String, Camera)], points: &PointCloud) -> Option<Note> {
+    let step = points.len().div_ceil(1000).max(1);
+    let sample = || points.positions.iter().step_by(step);
+    let mut all: Vec<f64> = train
+        .iter()
+        .flat_map(|(_, c)| sample().filter_map(|p| Some(c.project(p.map(f64::from).into())?.depth)))
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let median = *all.get(all.len() / 2)?;
+    let plausible = median > PLAUSIBLE_METRES.0 && median < PLAUSIBLE_METRES.1;
+    (!plausible).then(|| Note {
+        file: capture.root().join(Split::Train.meta_file()),
+        text: format!(
+            "half of the points are nearer to the cameras than {median:.3} m: are the lengths metres?"
+        ),
+    })
+}
+
+fn exposure(capture: &Capture, views: &[ViewSummary]) -> Option<Note> {
+    let train = || views.iter().filter(|v| v.split == Split::Train && v.brightness > 0.0);
+    let darkest = train().min_by(|a, b| a.brightness.total_cmp(&b.brightness))?;
+    let brightest = train().max_by(|a, b| a.brightness.total_cmp(&b.brightness))?;
+    (brightest.brightness > EXPOSURE_RATIO * darkest.brightness).then(|| Note {
+        file: capture.root().join("ims"),
+        text: format!(
+            "exposure differs: camera '{}' has a mean of {:.0}, '{}' of {:.0}",
+            darkest.name, darkest.brightness, brightest.name, brightest.brightness
+        ),
+    })
+}

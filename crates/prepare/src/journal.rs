@@ -1,0 +1,110 @@
+//! `prepare.json`: what was asked for and what was found out, so that a preparation can go on.
+
+use crate::camera_lists::write_json;
+use crate::{PrepareError, Request, Step};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The journal of a preparation.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Journal {
+    /// What the pictures depend on.
+    pub settings: BTreeMap<String, serde_json::Value>,
+    /// Finished steps and the sentence that says what they did.
+    pub steps: BTreeMap<Step, String>,
+    /// Where the capture's origin lies in the calibration's world (its unit).
+    pub origin: [f64; 3],
+    /// Metres in a unit of the calibration.
+    pub metres_per_unit: f64,
+    /// What was taken for granted.
+    pub assumed: Vec<String>,
+    /// What was left out.
+    pub skipped: Vec<String>,
+}
+
+impl Journal {
+    /// The journal of the output folder, or a new one. A folder with something else in it is refused.
+    pub fn open(request: &Request) -> Result<Self, PrepareError> {
+        let file = path(&request.out);
+        if !file.is_file() {
+            let occupied =
+                request.out.is_dir() && std::fs::read_dir(&request.out).is_ok_and(|mut d| d.next().is_some());
+            let refuse =
+                |reason: &str| PrepareError::Output { folder: request.out.clone(), reason: reason.into() };
+            let new = Self { settings: settings(request), ..Self::default() };
+            return if occupied {
+                Err(refuse("the folder is not empty and not a capture that was prepared"))
+            } else {
+                Ok(new)
+            };
+        }
+        let text = std::fs::read_to_string(&file).map_err(|e| PrepareError::io(&file, e))?;
+        let mut journal: Self =
+            serde_json::from_str(&text).map_err(|e| PrepareError::picture(&file, e.to_string()))?;
+        let wanted = settings(request);
+        let differs = wanted.iter().find(|(key, value)| journal.settings.get(*key) != Some(*value));
+        if let Some((key, value)) = differs
+            && !request.force.contains(&Step::Pictures)
+        {
+            let old = journal.settings.get(key).map_or("unset".into(), ToString::to_string);
+            let reason = format!("its pictures were made with {key} = {old}, now {value} is asked for");
+            return Err(PrepareError::Output { folder: request.out.clone(), reason });
+        }
+        if request.force.contains(&Step::Pictures) {
+            // Masks, points and tracks belong to their pictures.
+            return Ok(Self { settings: wanted, ..Self::default() });
+        }
+        journal.steps.retain(|step, _| !request.force.contains(step));
+        Ok(journal)
+    }
+
+    /// Writes the journal.
+    pub fn save(&self, out: &Path) -> Result<(), PrepareError> {
+        write_json(&path(out), &json!(self))
+    }
+
+    /// Notes a finished step.
+    pub fn finish(&mut self, step: Step, text: String, out: &Path) -> Result<(), PrepareError> {
+        self.steps.insert(step, text);
+        self.save(out)
+    }
+
+    /// Notes each sentence once.
+    pub fn assume(&mut self, sentences: &[String]) {
+        add(&mut self.assumed, sentences);
+    }
+
+    /// Notes each sentence once.
+    pub fn skip(&mut self, sentences: &[String]) {
+        add(&mut self.skipped, sentences);
+    }
+}
+
+fn add(list: &mut Vec<String>, sentences: &[String]) {
+    let new: Vec<String> = sentences.iter().filter(|s| !list.contains(s)).cloned().collect();
+    list.extend(new);
+}
+
+fn path(out: &Path) -> PathBuf {
+    out.join("prepare.json")
+}
+
+fn settings(request: &Request) -> BTreeMap<String, serde_json::Value> {
+    let source = std::fs::canonicalize(&request.source).unwrap_or_else(|_| request.source.clone());
+    let test = format!("{:?}", request.test);
+    [
+        ("source", json!(source)),
+        ("start", json!(request.start)),
+        ("count", json!(request.count)),
+        ("every", json!(request.every)),
+        ("scale", json!(request.scale)),
+        ("offset", json!(request.offsets)),
+        ("unit", json!(request.metres_per_unit)),
+        ("format", json!(request.format)),
+        ("test", json!(test)),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .into()
+}

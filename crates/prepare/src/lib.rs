@@ -1,0 +1,28 @@
+//! Footage to a capture.
+//!
+//! Four steps, each of which can be repeated alone: pictures (extraction and undistortion, with the camera lists),
+//! masks, points and tracks. A file that is there is complete and is not made again.
+
+mod camera_lists;
+mod conversion;
+mod error;
+mod extraction;
+mod hull;
+mod journal;
+mod masks;
+mod pictures;
+mod points;
+mod preparation;
+mod progress;
+mod request;
+mod rig;
+mod stereo;
+mod timing;
+mod tracks;
+mod video;
+
+pub use conversion::{Layout, convert};
+pub use error::PrepareError;
+pub use preparation::{Summary, prepare};
+pub use progress::Progress;
+pub use request::{Request, Step, TestCameras};

@@ -1,0 +1,193 @@
+//! Foreground masks by what differs from each fixed camera's background, made to agree between the views.
+
+mod background;
+mod contact_sheet;
+mod difference;
+mod regions;
+
+use crate::extraction::file_name;
+use crate::hull::{Silhouette, common_region, hull};
+use crate::pictures::{read_mask, write_mask};
+use crate::{PrepareError, Progress};
+use background::Background;
+use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_dataset::{Capture, Split};
+use rayon::prelude::*;
+use regions::without_specks;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Frames of the capture from which a background is learnt, and pictures of the whole footage besides.
+const SAMPLES: usize = 20;
+pub(crate) const SAMPLES_BEYOND: usize = 16;
+/// Fewer frames do not tell what stands still.
+const LEAST_FRAMES: usize = 4;
+/// Rounds: in the second one the background is learnt without what the first one found.
+const ROUNDS: usize = 2;
+/// Voxels that so many views see may add foreground to a mask.
+const VIEWS_THAT_ADD: u16 = 4;
+/// Smallest region (of the image) that is kept, and largest hole that is filled.
+const SPECK: f64 = 2e-4;
+const HOLE: f64 = 1e-3;
+
+/// A camera of the capture, for which masks are wanted.
+#[derive(Clone, Debug)]
+struct View {
+    split: Split,
+    index: usize,
+    name: String,
+    fixed: bool,
+}
+
+/// More pictures of a camera, by name.
+pub(crate) type Beyond<'a> = &'a (dyn Fn(&str) -> Result<Vec<ImageRgb8>, PrepareError> + Sync);
+
+/// Makes the masks of all views; they appear together when all are done. `beyond` gives more pictures of a camera than
+/// the capture has. Returns what was done, or why nothing was.
+pub(crate) fn make(
+    capture: &Capture,
+    beyond: Beyond,
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    let views = views(capture)?;
+    let fixed = views.iter().filter(|v| v.fixed).count();
+    if capture.frames() < LEAST_FRAMES {
+        return Ok(format!("none: {} frames do not tell what moves; run with --init none", capture.frames()));
+    }
+    if fixed < 2 {
+        return Ok(format!(
+            "none: {fixed} of {} cameras stand still, so there is no background to learn",
+            views.len()
+        ));
+    }
+    let part = capture.root().join("seg.part");
+    let total = ROUNDS * (fixed + capture.frames());
+    let mut done = 0;
+    let mut step = |n: usize| {
+        done += n;
+        progress.advance("masks", done, total);
+    };
+    for round in 0..ROUNDS {
+        let known = (round > 0).then_some(part.as_path());
+        let backgrounds: Vec<Option<Background>> =
+            views.par_iter().map(|v| learn(capture, v, known, beyond)).collect::<Result<_, _>>()?;
+        step(fixed);
+        for frame in 0..capture.frames() {
+            let masks = masks_of(capture, &views, &backgrounds, frame)?;
+            views
+                .par_iter()
+                .zip(&masks)
+                .try_for_each(|(view, mask)| write_mask(&part.join(file_name(&view.name, frame)), mask))?;
+            step(1);
+        }
+    }
+    let seg = capture.root().join("seg");
+    fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
+    let sheet = contact_sheet::write(capture, &seg)?;
+    let moving = views.len() - fixed;
+    let hull =
+        if moving > 0 { format!(", {moving} moving ones from the visual hull alone") } else { String::new() };
+    Ok(format!("made from the background of {fixed} fixed cameras{hull}; look at {}", sheet.display()))
+}
+
+fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
+    let mut out = Vec::new();
+    for split in [Split::Train, Split::Test] {
+        for (index, view) in capture.views(split).iter().enumerate() {
+            let first = capture.camera(split, index, 0)?;
+            let mut fixed = true;
+            for frame in 1..capture.frames() {
+                fixed &= capture.camera(split, index, frame)? == first;
+            }
+            out.push(View { split, index, name: view.name.clone(), fixed });
+        }
+    }
+    Ok(out)
+}
+
+/// The background of a fixed camera from frames spread over the capture, without what `known` masks cover, and from
+/// more of its footage.
+fn learn(
+    capture: &Capture,
+    view: &View,
+    known: Option<&Path>,
+    beyond: Beyond,
+) -> Result<Option<Background>, PrepareError> {
+    if !view.fixed {
+        return Ok(None);
+    }
+    let frames = capture.frames();
+    let count = frames.min(SAMPLES);
+    let chosen: Vec<usize> = (0..count).map(|i| i * frames / count).collect();
+    let mut images = Vec::new();
+    let mut masks = Vec::new();
+    for frame in chosen {
+        images.push(capture.load_image(view.split, view.index, frame)?);
+        if let Some(folder) = known {
+            let mask = read_mask(&folder.join(file_name(&view.name, frame)))?;
+            masks.push(mask.dilated(regions::radius(mask.size())));
+        }
+    }
+    let size = images[0].size();
+    images.extend(beyond(&view.name)?.into_iter().filter(|i| i.size() == size));
+    Ok(Some(Background::learn(&images, &masks)))
+}
+
+/// The masks of one frame, in the order of the views.
+fn masks_of(
+    capture: &Capture,
+    views: &[View],
+    backgrounds: &[Option<Background>],
+    frame: usize,
+) -> Result<Vec<Mask>, PrepareError> {
+    let load = |view: &View| -> Result<(Camera, ImageRgb8), PrepareError> {
+        Ok((
+            capture.camera(view.split, view.index, frame)?,
+            capture.load_image(view.split, view.index, frame)?,
+        ))
+    };
+    let loaded: Vec<_> = views.par_iter().map(load).collect::<Result<_, _>>()?;
+    let scores: Vec<Option<Vec<f32>>> = loaded
+        .par_iter()
+        .zip(backgrounds)
+        .map(|((_, image), background)| background.as_ref().map(|b| difference::scores(image, b)))
+        .collect();
+    let silhouettes: Vec<Silhouette> = loaded
+        .iter()
+        .zip(&scores)
+        .filter_map(|((camera, _), s)| {
+            let mask = difference::foreground(s.as_ref()?, camera.size());
+            Some(Silhouette { camera: *camera, mask })
+        })
+        .collect();
+    Ok(agreed(&loaded.iter().map(|l| l.0).collect::<Vec<_>>(), &scores, &silhouettes))
+}
+
+/// What no other view denies, and what the others see though the difference is weak here.
+fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Mask> {
+    let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
+    let region = common_region(&fixed);
+    let (possible, seen) = (
+        hull(silhouettes, region, 1),
+        hull(silhouettes, region, usize::from(VIEWS_THAT_ADD).min(fixed.len())),
+    );
+    let mut own = silhouettes.iter();
+    let mut mask_of = |camera: &Camera, score: &Option<Vec<f32>>| {
+        let add = seen.seen_by(camera, 0);
+        let Some(score) = score else { return add };
+        let own = &own.next().expect("a silhouette per score").mask;
+        let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
+        let data = (0..own.data().len()).map(|i| {
+            let kept = own.data()[i] & allowed.data()[i];
+            kept | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS))
+        });
+        let mask = Mask::new(camera.size(), data.collect()).expect("one value a pixel");
+        without_specks(&mask, SPECK, HOLE)
+    };
+    cameras.iter().zip(scores).map(|(c, s)| mask_of(c, s)).collect()
+}
+
+/// Where the contact sheet lies.
+pub(crate) fn sheet_path(root: &Path) -> PathBuf {
+    root.join("masks.png")
+}

@@ -1,0 +1,176 @@
+//! Initial points: matched features, the visual hull for what moves, and samples spread in depth for the rest.
+
+use crate::hull::{Hull, Region, Silhouette, common_region, hull};
+use crate::stereo::{self, StereoPoint};
+use crate::{PrepareError, Progress};
+use ffgs_arrays::NpzWriter;
+use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_dataset::{Capture, Split};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Points of the hull and of the background at most.
+const HULL_POINTS: usize = 15_000;
+const DEPTH_POINTS: usize = 20_000;
+/// With fewer matched points their depths say nothing of the scene.
+const LEAST_MATCHED: usize = 100;
+/// Matched points round a pixel, one of whose depths it gets.
+const NEAREST: usize = 4;
+
+/// One training view of the first frame.
+struct View {
+    camera: Camera,
+    image: ImageRgb8,
+    mask: Option<Mask>,
+}
+
+/// Position, colour and foreground.
+type Row = [f32; 7];
+
+/// Writes `init_pt_cld.npz`. `known` are points of the calibration's own program. Returns what was done.
+pub(crate) fn make(
+    capture: &Capture,
+    known: &[StereoPoint],
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    progress.advance("points", 0, 3);
+    let views = load(capture)?;
+    let (matched, from) = if known.is_empty() {
+        let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
+        (stereo::points(&pairs), "matched between cameras")
+    } else {
+        (known.to_vec(), "of the calibration")
+    };
+    progress.advance("points", 1, 3);
+    let mut rows: Vec<Row> =
+        matched.iter().map(|p| row(p.position, p.colour, on_foreground(&views, p.position))).collect();
+    let hull = hull_rows(&views);
+    progress.advance("points", 2, 3);
+    let depth = depth_rows(&views, &matched);
+    let text =
+        format!("{} {from}, {} in the visual hull, {} spread in depth", rows.len(), hull.len(), depth.len());
+    rows.extend(hull);
+    rows.extend(depth);
+    NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
+    progress.advance("points", 3, 3);
+    Ok(text)
+}
+
+fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {
+    let view = |v: usize| -> Result<View, PrepareError> {
+        Ok(View {
+            camera: capture.camera(Split::Train, v, 0)?,
+            image: capture.load_image(Split::Train, v, 0)?,
+            mask: capture.load_mask(Split::Train, v, 0)?,
+        })
+    };
+    (0..capture.views(Split::Train).len()).into_par_iter().map(view).collect()
+}
+
+fn row(p: DVec3, colour: [f32; 3], foreground: bool) -> Row {
+    let p = p.as_vec3();
+    [p.x, p.y, p.z, colour[0], colour[1], colour[2], f32::from(u8::from(foreground))]
+}
+
+/// Whether more than half of the views that see a point have it in their mask.
+fn on_foreground(views: &[View], p: DVec3) -> bool {
+    let (mut seen, mut inside) = (0, 0);
+    for view in views {
+        let (Some(mask), Some((x, y))) = (&view.mask, view.camera.pixel_of(p)) else { continue };
+        seen += 1;
+        inside += usize::from(mask.contains(x, y));
+    }
+    2 * inside > seen
+}
+
+fn hull_rows(views: &[View]) -> Vec<Row> {
+    let silhouettes: Vec<Silhouette> =
+        views.iter().filter_map(|v| Some(Silhouette { camera: v.camera, mask: v.mask.clone()? })).collect();
+    if silhouettes.len() < 2 || silhouettes.iter().all(|s| s.mask.count() == 0) {
+        return Vec::new();
+    }
+    let cameras: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
+    let least = if silhouettes.len() > 2 { 3 } else { 2 };
+    let hull = hull(&silhouettes, common_region(&cameras), least);
+    let surface = surface(&hull);
+    let step = surface.len().div_ceil(HULL_POINTS).max(1);
+    surface.into_iter().step_by(step).filter_map(|p| Some(row(p, colour(views, p)?, true))).collect()
+}
+
+/// Voxels with a free neighbour.
+fn surface(hull: &Hull) -> Vec<DVec3> {
+    let Some(low) = hull.centres.iter().copied().reduce(DVec3::min) else { return Vec::new() };
+    let key = |p: DVec3| ((p - low) / hull.side).round().as_ivec3();
+    let occupied: std::collections::HashSet<_> = hull.centres.iter().map(|p| key(*p)).collect();
+    let sides = [glam::IVec3::X, glam::IVec3::Y, glam::IVec3::Z];
+    let free =
+        |p: &DVec3| sides.iter().any(|s| [key(*p) + *s, key(*p) - *s].iter().any(|k| !occupied.contains(k)));
+    hull.centres.iter().copied().filter(free).collect()
+}
+
+/// The median colour, channel by channel, of the views that see a point.
+fn colour(views: &[View], p: DVec3) -> Option<[f32; 3]> {
+    let seen = views.iter().filter_map(|v| {
+        let (x, y) = v.camera.pixel_of(p)?;
+        Some(v.image.pixel(y * v.image.size().width + x))
+    });
+    let seen: Vec<[f32; 3]> = seen.collect();
+    let median = |c: usize| {
+        let mut values: Vec<f32> = seen.iter().map(|v| v[c]).collect();
+        values.sort_by(f32::total_cmp);
+        values[values.len() / 2]
+    };
+    (!seen.is_empty()).then(|| std::array::from_fn(median))
+}
+
+/// Pixels of every view, outside its mask, at depths of the matched points around them; where there are too few, at
+/// depths from a quarter to four times that of the scene.
+fn depth_rows(views: &[View], matched: &[StereoPoint]) -> Vec<Row> {
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let region = common_region(&cameras);
+    let per_view = DEPTH_POINTS.div_ceil(views.len());
+    let rows = |v: &View| {
+        let depths = known_depths(&v.camera, matched);
+        (0..per_view).filter_map(|i| depth_row(v, i, &depths, region)).collect::<Vec<_>>()
+    };
+    views.par_iter().map(rows).collect::<Vec<_>>().concat()
+}
+
+fn known_depths(camera: &Camera, matched: &[StereoPoint]) -> Vec<(DVec2, f64)> {
+    let seen = matched.iter().filter_map(|p| camera.project(p.position)).filter(|p| camera.shows(p.pixel));
+    seen.map(|p| (p.pixel, p.depth)).collect()
+}
+
+/// The `i`-th sample of a view: a low-discrepancy pixel, so that few samples cover the picture.
+fn depth_row(view: &View, i: usize, depths: &[(DVec2, f64)], region: Region) -> Option<Row> {
+    let size = view.camera.size();
+    let pixel = DVec2::new(halton(i, 2) * size.width as f64, halton(i, 3) * size.height as f64);
+    let (x, y) = (pixel.x as usize, pixel.y as usize);
+    if view.mask.as_ref().is_some_and(|m| m.contains(x, y)) {
+        return None;
+    }
+    let choice = halton(i, 5);
+    let depth = if depths.len() >= LEAST_MATCHED {
+        let mut near: Vec<(f64, f64)> = depths.iter().map(|(p, d)| (p.distance_squared(pixel), *d)).collect();
+        near.select_nth_unstable_by(NEAREST, |a, b| a.0.total_cmp(&b.0));
+        near[(choice * NEAREST as f64) as usize].1
+    } else {
+        let distance = view.camera.center().distance((region.low + region.high) / 2.0);
+        distance * 4.0_f64.powf(2.0 * choice - 1.0)
+    };
+    let ray = view.camera.ray(pixel);
+    let forward = view.camera.rotation().transpose() * DVec3::Z;
+    let position = view.camera.center() + ray * (depth / ray.dot(forward));
+    Some(row(position, view.image.pixel(y * size.width + x), false))
+}
+
+/// Halton's sequence in a base, from its 20th member on.
+fn halton(i: usize, base: usize) -> f64 {
+    let (mut i, mut part, mut value) = (i + 20, 1.0, 0.0);
+    while i > 0 {
+        part /= base as f64;
+        value += part * (i % base) as f64;
+        i /= base;
+    }
+    value
+}

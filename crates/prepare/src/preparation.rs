@@ -1,0 +1,150 @@
+//! The steps in their order.
+
+use crate::journal::Journal;
+use crate::rig::{self, Rig, rig};
+use crate::stereo::StereoPoint;
+use crate::timing::schedule;
+use crate::{PrepareError, Progress, Request, Step, camera_lists, extraction, masks, points, tracks};
+use ffgs_calibration::{ColouredPoint, Footage, Pictures, detect};
+use ffgs_dataset::Capture;
+use glam::DVec3;
+use std::fs;
+use std::path::Path;
+
+/// What was read, made and assumed; prints as a table.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    /// Label and text of every row.
+    pub rows: Vec<(String, String)>,
+}
+
+/// Makes a capture of footage, or goes on with one.
+///
+/// # Errors
+/// When the footage, its calibration or a picture cannot be used; nothing half-written is left under a final name.
+pub fn prepare(request: &Request, progress: &dyn Progress) -> Result<Summary, PrepareError> {
+    let mut journal = Journal::open(request)?;
+    clear_forced(request)?;
+    let (format, calibration) = detect(&request.source, request.format.as_deref())?;
+    let mut footage = (format.read)(&request.source, &calibration)?;
+    let mut summary = Summary::default();
+    summary.row("footage", format!("{} ({})", request.source.display(), format.name));
+    summary.row("calibration", calibration.display().to_string());
+    for step in Step::ALL {
+        if request.wants(step) && !journal.steps.contains_key(&step) {
+            let done = take(step, &mut footage, request, &mut journal, progress)?;
+            journal.finish(step, done, &request.out)?;
+        }
+    }
+    for step in Step::ALL {
+        let text = journal.steps.get(&step).cloned().unwrap_or_else(|| "not made".to_owned());
+        summary.row(&step.to_string(), text);
+    }
+    journal.assumed.iter().for_each(|text| summary.row("assumed", text));
+    journal.skipped.iter().for_each(|text| summary.row("skipped", text));
+    Ok(summary)
+}
+
+impl Summary {
+    fn row(&mut self, label: &str, text: impl Into<String>) {
+        self.rows.push((label.to_owned(), text.into()));
+    }
+}
+
+impl std::fmt::Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.rows.iter().try_for_each(|(label, text)| writeln!(f, "{label:12} {text}"))
+    }
+}
+
+fn take(
+    step: Step,
+    footage: &mut Footage,
+    request: &Request,
+    journal: &mut Journal,
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    if step == Step::Pictures {
+        return make_pictures(footage, request, journal, progress);
+    }
+    let capture = Capture::open(&request.out)?;
+    match step {
+        Step::Masks if request.out.join("seg").is_dir() => Ok("those of the footage".to_owned()),
+        Step::Masks => {
+            let rig = rig(footage, request)?;
+            let beyond = |name: &str| {
+                let camera = rig.cameras.iter().find(|c| c.name == name);
+                camera.map_or(Ok(Vec::new()), |c| extraction::samples(c, masks::SAMPLES_BEYOND))
+            };
+            masks::make(&capture, &beyond, progress)
+        }
+        Step::Points => points::make(&capture, &known_points(footage, journal), progress),
+        _ => tracks::make(&capture, progress),
+    }
+}
+
+/// Points of the calibration in the capture's world.
+fn known_points(footage: &Footage, journal: &Journal) -> Vec<StereoPoint> {
+    let to_capture = |p: &ColouredPoint| StereoPoint {
+        position: (p.position - DVec3::from(journal.origin)) * journal.metres_per_unit,
+        colour: p.colour.map(|c| f32::from(c) / 255.0),
+    };
+    footage.points.iter().map(to_capture).collect()
+}
+
+fn make_pictures(
+    footage: &mut Footage,
+    request: &Request,
+    journal: &mut Journal,
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    let rig = rig(footage, request)?;
+    let sequences: Vec<_> = rig.cameras.iter().map(|c| c.sequence.clone()).collect();
+    let schedule = schedule(&sequences, footage.timestamps.as_deref(), request)?;
+    (journal.origin, journal.metres_per_unit) = (rig.origin.to_array(), rig.metres_per_unit);
+    journal.assume(&footage.assumed);
+    journal.assume(&rig.assumed);
+    journal.assume(&schedule.assumed);
+    journal.skip(&footage.skipped);
+    journal.skip(&schedule.skipped);
+    journal.save(&request.out)?;
+    extraction::extract(&rig, &schedule, &request.out, progress)?;
+    camera_lists::write(&rig, &schedule, &request.out)?;
+    Ok(describe(&rig, footage, schedule.frames.len(), schedule.spread))
+}
+
+fn describe(rig: &Rig, footage: &Footage, frames: usize, spread: Option<f64>) -> String {
+    let videos = rig.cameras.iter().filter(|c| matches!(c.pictures, Pictures::Video(_))).count();
+    let test = rig.cameras.iter().filter(|c| c.test).count();
+    let size = rig.cameras[0].undistortion.size();
+    let apart = spread.map_or(String::new(), |s| format!(", at most {:.0} ms apart", s * 1e3));
+    format!(
+        "{} cameras ({videos} videos), {test} held out, {frames} frames, {} x {}, {} undistorted{apart}",
+        rig.cameras.len(),
+        size.width,
+        size.height,
+        rig::distorted(footage)
+    )
+}
+
+/// Removes what is to be made again.
+fn clear_forced(request: &Request) -> Result<(), PrepareError> {
+    let results = |step: &Step| match step {
+        // Masks, points and tracks belong to their pictures.
+        Step::Pictures => {
+            ["train_meta.json", "test_meta.json", "ims", "seg", "init_pt_cld.npz", "tracks"].as_slice()
+        }
+        Step::Masks => &["seg"],
+        Step::Points => &["init_pt_cld.npz"],
+        Step::Tracks => &["tracks"],
+    };
+    request.force.iter().flat_map(results).try_for_each(|name| remove(&request.out.join(name)))
+}
+
+fn remove(path: &Path) -> Result<(), PrepareError> {
+    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    match removed {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::io(path, e)),
+        _ => Ok(()),
+    }
+}

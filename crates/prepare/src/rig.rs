@@ -1,0 +1,197 @@
+//! The footage's cameras with everything decided: size, pinhole, units, which are held out.
+
+use crate::timing::Sequence;
+use crate::{PrepareError, Request, TestCameras, pictures, video};
+use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
+use ffgs_core::ImageSize;
+use glam::{DMat4, DVec3};
+
+/// A camera as the capture will have it.
+#[derive(Clone, Debug)]
+pub(crate) struct RigCamera {
+    pub name: String,
+    pub undistortion: Undistortion,
+    /// `camera_from_world` in metres, recentred: one, or one per picture.
+    pub poses: Vec<DMat4>,
+    pub pictures: Pictures,
+    pub masks: Option<Pictures>,
+    pub test: bool,
+    pub sequence: Sequence,
+}
+
+/// All cameras and what was decided for them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rig {
+    pub cameras: Vec<RigCamera>,
+    /// Metres in a unit of the calibration.
+    pub metres_per_unit: f64,
+    /// Where the capture's origin lies in the calibration's world (its units).
+    pub origin: DVec3,
+    pub assumed: Vec<String>,
+}
+
+/// From this many cameras on every eighth is held out, as the field does for photographs since LLFF.
+const ENOUGH_TO_HOLD_OUT: usize = 16;
+const USUAL_STRIDE: usize = 8;
+/// A scene is recentred when it lies this many times its own extent from the origin: single precision then has less
+/// than a part in 10⁵ of the extent left.
+const FAR: f64 = 100.0;
+
+/// Decides size, units, origin and held-out cameras.
+pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareError> {
+    if footage.cameras.len() < 2 {
+        let skipped = footage.skipped.join("; ");
+        let found = footage.cameras.len();
+        return Err(PrepareError::Footage(format!(
+            "{found} camera with pictures was found, two are needed. {skipped}"
+        )));
+    }
+    if !(request.scale > 0.0 && request.scale <= 1.0) {
+        return Err(PrepareError::Footage(format!("--scale {} is not in (0, 1]", request.scale)));
+    }
+    let test = test_cameras(footage, request)?;
+    let metres_per_unit = request.metres_per_unit.or(footage.metres_per_unit).unwrap_or(1.0);
+    let mut rig = Rig { metres_per_unit, origin: origin(footage), ..Rig::default() };
+    for (source, test) in footage.cameras.iter().zip(&test) {
+        let camera = rig.camera(source, *test, request)?;
+        if rig.cameras.iter().any(|c| c.name == camera.name) {
+            return Err(PrepareError::Footage(format!("two cameras are called {}", camera.name)));
+        }
+        rig.cameras.push(camera);
+    }
+    if rig.origin != DVec3::ZERO {
+        rig.assumed.push(format!("the world was recentred by {:.1} (its unit)", rig.origin));
+    }
+    if test.iter().any(|t| *t) && request.test == TestCameras::Usual {
+        let names: Vec<&str> = rig.cameras.iter().filter(|c| c.test).map(|c| c.name.as_str()).collect();
+        rig.assumed.push(format!("held out for measuring: {} (--test chooses others)", names.join(", ")));
+    }
+    Ok(rig)
+}
+
+impl Rig {
+    fn camera(
+        &mut self,
+        source: &SourceCamera,
+        test: bool,
+        request: &Request,
+    ) -> Result<RigCamera, PrepareError> {
+        let found = first_size(&source.pictures)?;
+        let lens = self.lens_for(source, found)?;
+        let reduced = |length: usize| ((length as f64 * request.scale).round() as usize).max(1);
+        let size = ImageSize { width: reduced(found.width), height: reduced(found.height) };
+        let undistortion = Undistortion::new(lens, size);
+        let move_origin = DMat4::from_translation(self.origin);
+        let to_metres = |pose: &DMat4| {
+            let mut pose = *pose * move_origin;
+            pose.w_axis = (pose.w_axis.truncate() * self.metres_per_unit).extend(1.0);
+            pose
+        };
+        let (pictures, rate) = match &source.pictures {
+            Pictures::Video(file) => {
+                let facts = video::probe(file)?;
+                (facts.frames, Some(facts.rate))
+            }
+            Pictures::Files(files) => (files.len(), None),
+        };
+        let name: String = source.name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
+        Ok(RigCamera {
+            sequence: Sequence { name: name.clone(), pictures, rate },
+            name,
+            undistortion,
+            poses: source.poses.iter().map(to_metres).collect(),
+            pictures: source.pictures.clone(),
+            masks: source.masks.clone(),
+            test,
+        })
+    }
+
+    /// The lens for pictures of the size that was found.
+    fn lens_for(&mut self, source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareError> {
+        let lens = source.lens;
+        if lens.size.pixels() == 0 {
+            return Ok(Lens { size: found, ..lens });
+        }
+        let (x, y) =
+            (found.width as f64 / lens.size.width as f64, found.height as f64 / lens.size.height as f64);
+        // A video encoder may pad or crop by a pixel or two.
+        if (x / y - 1.0).abs() > 0.02 {
+            let reason = format!(
+                "camera '{}' was calibrated at {} x {}, but its pictures are {} x {}",
+                source.name, lens.size.width, lens.size.height, found.width, found.height
+            );
+            return Err(PrepareError::Footage(reason));
+        }
+        if found != lens.size {
+            let text = format!(
+                "camera {} was calibrated at {} columns, its pictures have {}",
+                source.name, lens.size.width, found.width
+            );
+            self.assumed.push(format!("{text}: its intrinsics were scaled"));
+        }
+        Ok(lens.resized(found))
+    }
+}
+
+/// Cameras whose lens bends.
+pub(crate) fn distorted(footage: &Footage) -> usize {
+    footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
+}
+
+fn is_plain(c: char) -> bool {
+    c.is_alphanumeric() || matches!(c, '-' | '_' | '.')
+}
+
+fn first_size(of: &Pictures) -> Result<ImageSize, PrepareError> {
+    match of {
+        Pictures::Video(file) => {
+            let first = video::Frames::open(file)?.next()?;
+            first
+                .map(|i| i.size())
+                .ok_or_else(|| PrepareError::picture(file, "ffmpeg decodes no frame of it"))
+        }
+        Pictures::Files(files) => {
+            let first =
+                files.first().ok_or_else(|| PrepareError::Footage("a camera has no picture".to_owned()))?;
+            Ok(pictures::read_rgb(first)?.size())
+        }
+    }
+}
+
+fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<bool>, PrepareError> {
+    let cameras = &footage.cameras;
+    let said = cameras.iter().any(|c| c.role != Role::Unsaid);
+    let test: Vec<bool> = match &request.test {
+        TestCameras::Every(n) => (0..cameras.len()).map(|i| i % n == 0).collect(),
+        TestCameras::Named(names) => {
+            if let Some(unknown) = names.iter().find(|n| !cameras.iter().any(|c| c.name == **n)) {
+                let known = cameras.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ");
+                return Err(PrepareError::Footage(format!(
+                    "--test names camera {unknown}; the cameras are {known}"
+                )));
+            }
+            cameras.iter().map(|c| names.contains(&c.name)).collect()
+        }
+        TestCameras::Usual if said => cameras.iter().map(|c| c.role == Role::Test).collect(),
+        TestCameras::Usual if cameras.len() >= ENOUGH_TO_HOLD_OUT => {
+            (0..cameras.len()).map(|i| i % USUAL_STRIDE == 0).collect()
+        }
+        TestCameras::Usual | TestCameras::None => vec![false; cameras.len()],
+    };
+    let train = test.iter().filter(|t| !**t).count();
+    if train < 2 {
+        return Err(PrepareError::Footage(format!(
+            "--test leaves {train} camera to reconstruct from, two are needed"
+        )));
+    }
+    Ok(test)
+}
+
+/// The middle of the cameras when they are far from the world's origin, else the origin.
+fn origin(footage: &Footage) -> DVec3 {
+    let centres: Vec<DVec3> =
+        footage.cameras.iter().flat_map(|c| &c.poses).map(|p| p.inverse().w_axis.truncate()).collect();
+    let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
+    let extent = centres.iter().map(|c| c.distance(middle)).fold(0.0, f64::max);
+    if middle.length() > FAR * extent { middle } else { DVec3::ZERO }
+}

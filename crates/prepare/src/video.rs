@@ -1,0 +1,144 @@
+//! Videos, through the system's ffmpeg and ffprobe.
+
+use crate::PrepareError;
+use ffgs_core::{ImageRgb8, ImageSize};
+use serde::Deserialize;
+use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+/// What ffprobe says of a video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct VideoFacts {
+    /// Frames, by the packets of its container.
+    pub frames: usize,
+    /// Frames a second.
+    pub rate: f64,
+}
+
+#[derive(Deserialize)]
+struct Probe {
+    streams: Vec<Stream>,
+}
+
+#[derive(Deserialize)]
+struct Stream {
+    nb_read_packets: String,
+    avg_frame_rate: String,
+}
+
+/// Number and rate of the frames of a video.
+pub(crate) fn probe(file: &Path) -> Result<VideoFacts, PrepareError> {
+    let mut command = Command::new("ffprobe");
+    command.args(["-v", "error", "-select_streams", "v:0", "-count_packets", "-of", "json"]);
+    command.args(["-show_entries", "stream=nb_read_packets,avg_frame_rate"]).arg(file);
+    let output = command.stdin(Stdio::null()).output().map_err(|e| start_error(file, "ffprobe", e))?;
+    let probe: Option<Probe> = serde_json::from_slice(&output.stdout).ok();
+    let facts = probe.and_then(|p| facts(p.streams.first()?));
+    facts.ok_or_else(|| {
+        PrepareError::picture(file, format!("no video that ffmpeg can read. {}", said(&output.stderr)))
+    })
+}
+
+fn facts(stream: &Stream) -> Option<VideoFacts> {
+    let (up, down) = stream.avg_frame_rate.split_once('/')?;
+    let rate = up.parse::<f64>().ok()? / down.parse::<f64>().ok()?;
+    let frames = stream.nb_read_packets.parse().ok()?;
+    (frames > 0 && rate > 0.0 && rate.is_finite()).then_some(VideoFacts { frames, rate })
+}
+
+fn start_error(file: &Path, program: &'static str, error: std::io::Error) -> PrepareError {
+    match error.kind() {
+        ErrorKind::NotFound => PrepareError::NoFfmpeg { program },
+        _ => PrepareError::io(file, error),
+    }
+}
+
+fn said(stderr: &[u8]) -> String {
+    String::from_utf8_lossy(stderr).lines().take(2).collect::<Vec<_>>().join("; ")
+}
+
+/// The frames of a video from the first one on, decoded as they are asked for.
+pub(crate) struct Frames {
+    file: PathBuf,
+    child: Child,
+    stream: BufReader<ChildStdout>,
+}
+
+impl Frames {
+    /// Starts ffmpeg on a video; frames come as they are stored, none doubled or dropped for a constant rate.
+    pub fn open(file: &Path) -> Result<Self, PrepareError> {
+        Self::start(file, None)
+    }
+
+    /// As [`Frames::open`] with the first frame at or after a time in seconds.
+    pub fn open_at(file: &Path, seconds: f64) -> Result<Self, PrepareError> {
+        Self::start(file, Some(seconds))
+    }
+
+    fn start(file: &Path, seek: Option<f64>) -> Result<Self, PrepareError> {
+        let mut command = Command::new("ffmpeg");
+        command.args(["-v", "error", "-nostdin"]);
+        if let Some(seconds) = seek {
+            command.args(["-ss", &format!("{seconds:.3}")]);
+        }
+        command.arg("-i").arg(file);
+        if seek.is_some() {
+            command.args(["-frames:v", "1"]);
+        }
+        // PPM, because every frame then says its own size: ffmpeg turns pictures as the video's header asks.
+        command.args(["-map", "0:v:0", "-vsync", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = command.spawn().map_err(|e| start_error(file, "ffmpeg", e))?;
+        let stdout = child.stdout.take().expect("stdout is piped");
+        Ok(Self { file: file.to_owned(), child, stream: BufReader::with_capacity(1 << 20, stdout) })
+    }
+
+    /// The next frame; `None` at the end.
+    pub fn next(&mut self) -> Result<Option<ImageRgb8>, PrepareError> {
+        let io = |e| PrepareError::io(&self.file, e);
+        if self.stream.fill_buf().map_err(io)?.is_empty() {
+            return Ok(None);
+        }
+        let size = self.header()?;
+        let mut data = vec![0; size.pixels() * 3];
+        self.stream.read_exact(&mut data).map_err(|e| PrepareError::io(&self.file, e))?;
+        Ok(ImageRgb8::new(size, data))
+    }
+
+    /// "P6", width, height and 255, each ended by one white space.
+    fn header(&mut self) -> Result<ImageSize, PrepareError> {
+        let mut words = Vec::new();
+        for _ in 0..4 {
+            words.push(self.word().map_err(|e| PrepareError::io(&self.file, e))?);
+        }
+        let number = |i: usize| words[i].parse::<usize>().ok();
+        match (words[0].as_str(), number(1), number(2), words[3].as_str()) {
+            ("P6", Some(width), Some(height), "255") => Ok(ImageSize { width, height }),
+            _ => Err(PrepareError::picture(
+                &self.file,
+                format!("ffmpeg sent {words:?} where a picture should start"),
+            )),
+        }
+    }
+
+    fn word(&mut self) -> std::io::Result<String> {
+        let mut word = Vec::new();
+        let mut byte = [0];
+        loop {
+            self.stream.read_exact(&mut byte)?;
+            if byte[0].is_ascii_whitespace() {
+                return Ok(String::from_utf8_lossy(&word).into_owned());
+            }
+            word.push(byte[0]);
+        }
+    }
+}
+
+impl Drop for Frames {
+    fn drop(&mut self) {
+        // The rest of the video is not needed; a program that has ended already cannot be killed, which is as well.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

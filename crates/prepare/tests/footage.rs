@@ -1,0 +1,243 @@
+//! A ball that rolls through a ring of cameras, from footage to a capture.
+
+use ffgs_core::{Camera, ImageSize, Intrinsics};
+use ffgs_dataset::{Capture, Split, check};
+use ffgs_prepare::{Layout, Request, Step, Summary, TestCameras, convert, prepare};
+use glam::{DMat3, DMat4, DVec2, DVec3};
+use image::{Rgb, RgbImage};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use tempfile::TempDir;
+
+const SIZE: ImageSize = ImageSize { width: 128, height: 96 };
+const FRAMES: usize = 8;
+const CAMERAS: usize = 6;
+/// A frame in which the ball is out of sight.
+const FAR_AWAY: usize = 1000;
+
+fn camera(i: usize) -> Camera {
+    let angle = std::f64::consts::TAU * i as f64 / CAMERAS as f64;
+    let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.2);
+    let forward = -eye.normalize();
+    let right = forward.cross(DVec3::Z).normalize();
+    let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+    let mut pose = DMat4::from_mat3(rotation);
+    pose.w_axis = (-(rotation * eye)).extend(1.0);
+    Camera::new(Intrinsics { fx: 110.0, fy: 110.0, cx: 64.0, cy: 48.0 }, pose, SIZE).unwrap()
+}
+
+/// Whether a ray through the pixel meets the ball.
+fn on_ball(camera: &Camera, x: u32, y: u32, frame: usize) -> bool {
+    let centre = DVec3::new(-0.7 + 0.2 * frame as f64, 0.1, 0.0);
+    let ray = camera.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+    let to = centre - camera.center();
+    to.dot(ray) > 0.0 && (to - ray * to.dot(ray)).length() < 0.35
+}
+
+/// Values of a hash of the place, so that every picture has texture.
+fn noise(x: u32, y: u32, seed: u32) -> u8 {
+    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ seed.wrapping_mul(0xC2B2_AE3D);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    ((h ^ (h >> 13)) % 40) as u8
+}
+
+fn picture(i: usize, frame: usize) -> RgbImage {
+    let camera = camera(i);
+    RgbImage::from_fn(SIZE.width as u32, SIZE.height as u32, |x, y| {
+        let n = noise(x / 3, y / 3, i as u32);
+        if on_ball(&camera, x, y, frame) {
+            Rgb([220 - n, 60 + n, 50])
+        } else {
+            Rgb([70 + n, 90 + n, 110 + n / 2])
+        }
+    })
+}
+
+/// A folder with a TOML calibration and a picture folder per camera: some of the empty scene, then the ball's.
+fn footage(empty: usize, frames: usize) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut toml = String::new();
+    for i in 0..CAMERAS {
+        let camera = camera(i);
+        let k = camera.intrinsics();
+        let r = camera.rotation().transpose().to_cols_array_2d();
+        let t = camera.translation();
+        let camera = format!(
+            "[cam_{i}]\nsize = [{}, {}]\nmatrix = [[{}, 0.0, {}], [0.0, {}, {}], [0.0, 0.0, 1.0]]\n\
+             distortions = []\nrotation = {r:?}\ntranslation = [{}, {}, {}]\n",
+            SIZE.width,
+            SIZE.height,
+            k.fx,
+            k.cx - 0.5,
+            k.fy,
+            k.cy - 0.5,
+            t.x,
+            t.y,
+            t.z
+        );
+        toml.push_str(&camera);
+        let pictures = folder.path().join(format!("cam_{i}"));
+        fs::create_dir(&pictures).unwrap();
+        for number in 0..empty + frames {
+            let shown = number.checked_sub(empty).unwrap_or(FAR_AWAY);
+            picture(i, shown).save(pictures.join(format!("{}.png", number + 1))).unwrap();
+        }
+    }
+    fs::write(folder.path().join("calibration.toml"), toml).unwrap();
+    folder
+}
+
+fn request(folder: &TempDir) -> Request {
+    // Below the footage, where nothing of it may be taken for footage.
+    let out = folder.path().join("capture");
+    Request { test: TestCameras::Named(vec!["cam_3".into()]), ..Request::new(folder.path().to_owned(), out) }
+}
+
+fn run(request: &Request) -> Summary {
+    prepare(request, &|_: &str, _: usize, _: usize| ()).unwrap()
+}
+
+fn error(request: &Request) -> String {
+    prepare(request, &|_: &str, _: usize, _: usize| ()).unwrap_err().to_string()
+}
+
+/// Intersection over union of all masks with the ball's silhouettes.
+fn overlap(capture: &Capture) -> f64 {
+    let (mut both, mut either) = (0, 0);
+    for view in 0..capture.views(Split::Train).len() {
+        let index: usize = capture.views(Split::Train)[view].name[4..].parse().unwrap();
+        for frame in 0..FRAMES {
+            let mask = capture.load_mask(Split::Train, view, frame).unwrap().unwrap();
+            for (i, found) in mask.data().iter().enumerate() {
+                let (x, y) = ((i % SIZE.width) as u32, (i / SIZE.width) as u32);
+                let truth = on_ball(&camera(index), x, y, frame);
+                both += usize::from(truth && *found == 1);
+                either += usize::from(truth || *found == 1);
+            }
+        }
+    }
+    both as f64 / either as f64
+}
+
+#[test]
+fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
+    let folder = footage(8, FRAMES);
+    let request = Request { start: 8, ..request(&folder) };
+    let summary = run(&request);
+    assert!(summary.to_string().contains("6 cameras (0 videos), 1 held out, 8 frames"), "{summary}");
+    let capture = Capture::open(&request.out).unwrap();
+    let report = check(&capture);
+    assert!(report.is_usable() && report.points > 100, "{report}");
+    assert!(overlap(&capture) > 0.85, "{}", overlap(&capture));
+    assert_eq!(capture.load_image(Split::Test, 0, 2).unwrap().data(), picture(3, 2).as_raw().as_slice());
+    assert!((capture.camera(Split::Test, 0, 0).unwrap().center() - camera(3).center()).length() < 1e-6);
+    for file in ["masks.png", "tracks/tracks.json", "tracks/lucas_kanade/cam_0/000007.npz"] {
+        assert!(request.out.join(file).is_file(), "{file}");
+    }
+    // Nothing is made twice, what is forced is, and what is missing is made again.
+    let stamp = |name: &str| fs::metadata(request.out.join(name)).unwrap().modified().unwrap();
+    let before = (stamp("ims/cam_0/000000.png"), stamp("init_pt_cld.npz"));
+    run(&Request { force: vec![Step::Points], ..request.clone() });
+    assert!(stamp("ims/cam_0/000000.png") == before.0 && stamp("init_pt_cld.npz") > before.1);
+    let other = error(&Request { every: 2, ..request.clone() });
+    assert!(other.contains("every = 1") && other.contains('2'), "{other}");
+}
+
+#[test]
+fn a_capture_written_for_other_tools_is_read_as_the_same_cameras() {
+    let folder = footage(0, 1);
+    let request = request(&folder);
+    run(&request);
+    let capture = Capture::open(&request.out).unwrap();
+    for (layout, format) in [(Layout::Nerfstudio, "transforms"), (Layout::Colmap, "colmap")] {
+        let out = tempfile::tempdir().unwrap();
+        convert(&capture, layout, 0, out.path()).unwrap();
+        let (found, file) = ffgs_calibration::detect(out.path(), None).unwrap();
+        let cameras = (found.read)(out.path(), &file).unwrap().cameras;
+        assert_eq!((found.name, cameras.len()), (format, CAMERAS));
+        for c in &cameras {
+            let wanted = camera(c.name[4..].parse().unwrap());
+            assert!((c.poses[0] - wanted.camera_from_world()).to_cols_array().iter().all(|v| v.abs() < 1e-6));
+            assert_eq!((c.lens.intrinsics.cx, c.lens.size), (wanted.intrinsics().cx, SIZE));
+        }
+        assert!(convert(&capture, layout, 1, out.path()).unwrap_err().to_string().contains("no frame 1"));
+    }
+}
+
+#[test]
+fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
+    let folder = footage(0, 3);
+    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
+    fs::write(folder.path().join("cam_2/2.png"), b"not a picture").unwrap();
+    let damaged = error(&request);
+    assert!(damaged.contains("cam_2") && damaged.contains("2.png"), "{damaged}");
+    assert!(!request.out.join("train_meta.json").exists());
+    RgbImage::new(64, 48).save(folder.path().join("cam_2/2.png")).unwrap();
+    assert!(error(&request).contains("64 x 48"));
+    picture(2, 1).save(folder.path().join("cam_2/2.png")).unwrap();
+    fs::remove_file(folder.path().join("cam_4/3.png")).unwrap();
+    assert!(error(&Request { count: Some(3), ..request.clone() }).contains("now 3"));
+    let summary = run(&request).to_string();
+    assert!(summary.contains("2 to 3 pictures"), "{summary}");
+    assert_eq!(Capture::open(&request.out).unwrap().frames(), 2);
+}
+
+#[test]
+fn a_static_scene_has_no_masks_and_is_usable() {
+    let folder = footage(0, 1);
+    let request = request(&folder);
+    let summary = run(&request).to_string();
+    assert!(summary.contains("masks        none"), "{summary}");
+    assert!(check(&Capture::open(&request.out).unwrap()).is_usable());
+}
+
+/// Needs ffmpeg, which the project's set-up for tests installs.
+#[test]
+fn videos_are_read_frame_by_frame() {
+    let folder = footage(0, FRAMES);
+    for i in 0..CAMERAS {
+        let pictures = folder.path().join(format!("cam_{i}"));
+        encode(&pictures, &folder.path().join(format!("cam_{i}.mkv")));
+        fs::remove_dir_all(pictures).unwrap();
+    }
+    let request = Request {
+        start: 1,
+        every: 2,
+        scale: 0.5,
+        offsets: [("cam_1".to_owned(), 1)].into(),
+        only: vec![Step::Pictures],
+        ..request(&folder)
+    };
+    let summary = run(&request).to_string();
+    assert!(summary.contains("6 videos") && summary.contains("64 x 48"), "{summary}");
+    let capture = Capture::open(&request.out).unwrap();
+    // Frames 1, 3 and 5; 7 lacks camera 1, which began one frame early.
+    assert_eq!(capture.frames(), 3);
+    for (view, index, frame, shown) in [(0, 0, 1, 3), (1, 1, 1, 4)] {
+        let found = capture.load_image(Split::Train, view, frame).unwrap();
+        let wanted = picture(index, shown);
+        for (x, y) in [(3, 5), (30, 20), (50, 40)] {
+            let mean = |c: usize| -> f64 {
+                let four = [(0, 0), (1, 0), (0, 1), (1, 1)];
+                four.iter().map(|(u, v)| f64::from(wanted.get_pixel(2 * x + u, 2 * y + v).0[c])).sum::<f64>()
+                    / 4.0
+            };
+            let at = (y as usize * 64 + x as usize) * 3;
+            for c in 0..3 {
+                assert!((f64::from(found.data()[at + c]) - mean(c)).abs() <= 1.0, "camera {index} {x} {y}");
+            }
+        }
+    }
+    fs::write(folder.path().join("cam_5.mkv"), b"no video").unwrap();
+    let broken = error(&Request { out: folder.path().join("other"), ..request.clone() });
+    assert!(broken.contains("cam_5.mkv"), "{broken}");
+}
+
+/// Without loss, in RGB.
+fn encode(pictures: &Path, video: &Path) {
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args(["-v", "error", "-framerate", "30", "-i"]).arg(pictures.join("%d.png"));
+    let status = ffmpeg.args(["-c:v", "ffv1", "-pix_fmt", "bgr0"]).arg(video).status();
+    assert!(status.expect("ffmpeg is installed by cargo xtask ci").success());
+}
