@@ -28,32 +28,32 @@ const HEAD: &str = "\
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let program = ffgs::build(root)?;
     let first = options.out.join("first");
-    let starts = initialisations(&options.capture)?;
+    let methods = methods(&options.capture)?;
     finish(&program, options, &first, &["--frames", "0..1"])?;
     println!("{HEAD}");
     for iterations in &options.iterations {
-        for start in &starts {
-            let folder = options.out.join(format!("{}_{iterations}", start.replace(':', "_")));
+        for method in &methods {
+            let folder = options.out.join(format!("{}_{iterations}", method.replace(':', "_")));
             let (n, first) = (iterations.to_string(), first.to_string_lossy());
             finish(
                 &program,
                 options,
                 &folder,
-                &["--init", start, "--iterations", &n, "--first-frame", &first],
+                &["--method", method, "--iterations", &n, "--first-frame", &first],
             )?;
-            println!("{}", row(start, *iterations, &read(&folder.join("metrics.json"))?));
+            println!("{}", row(method, *iterations, &read(&folder.join("metrics.json"))?));
         }
     }
     Ok(())
 }
 
-/// `fused`, `none`, and each tracker that the capture names.
-fn initialisations(capture: &Path) -> Result<Vec<String>> {
+/// `trackers`, `none`, and each tracker that the capture names.
+fn methods(capture: &Path) -> Result<Vec<String>> {
     let trackers = read(&capture.join("tracks/tracks.json"))?;
     let named = trackers["trackers"].as_array().into_iter().flatten().filter_map(|t| t["name"].as_str());
-    let mut starts = vec!["fused".to_owned(), "none".to_owned()];
-    starts.extend(named.map(|name| format!("tracker:{name}")));
-    Ok(starts)
+    let mut methods = vec!["trackers".to_owned(), "none".to_owned()];
+    methods.extend(named.map(|name| format!("tracker:{name}")));
+    Ok(methods)
 }
 
 /// Runs, or goes on with a run that was interrupted.
@@ -65,7 +65,7 @@ fn finish(program: &Path, options: &Options, out: &Path, args: &[&str]) -> Resul
     Ok(())
 }
 
-fn row(start: &str, iterations: usize, metrics: &Value) -> String {
+fn row(method: &str, iterations: usize, metrics: &Value) -> String {
     let of = |group: &str, key: &str, digits: usize| {
         metrics[group][key].as_f64().map_or_else(|| "-".to_owned(), |v| format!("{v:.digits$}"))
     };
@@ -73,7 +73,7 @@ fn row(start: &str, iterations: usize, metrics: &Value) -> String {
         format!("{} | {} | {}", of(group, "psnr", 2), of(group, "mpsnr", 2), of(group, "ssim", 4))
     };
     let (fixed, all) = (views("mean_trackside"), views("mean"));
-    format!("| `{start}` | {iterations} | {fixed} | {all} | {} |", of("mean", "seconds_per_frame", 1))
+    format!("| `{method}` | {iterations} | {fixed} | {all} | {} |", of("mean", "seconds_per_frame", 1))
 }
 
 fn read(file: &Path) -> Result<Value> {
@@ -89,10 +89,10 @@ mod tests {
     #[test]
     fn the_sample_is_compared_with_every_tracker_alone() {
         let root = workspace::root().unwrap();
-        let starts = initialisations(&root.join(ffgs::SAMPLE)).unwrap();
+        let methods = methods(&root.join(ffgs::SAMPLE)).unwrap();
         let expected =
-            ["fused", "none", "tracker:sparse_xfeat", "tracker:points_raft", "tracker:dense_gmflow"];
-        assert_eq!(starts, expected);
+            ["trackers", "none", "tracker:sparse_xfeat", "tracker:points_raft", "tracker:dense_gmflow"];
+        assert_eq!(methods, expected);
     }
 
     #[test]

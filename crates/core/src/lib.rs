@@ -28,4 +28,4 @@ pub use scene::{Dynamic, Scene};
 pub use sky_cube::SkyCube;
 pub use spatial_order::spatial_order;
 pub use stage_log::{Seconds, StageLog};
-pub use view::{TrainingView, View};
+pub use view::TrainingView;

@@ -1,4 +1,4 @@
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ pub type Seconds = BTreeMap<String, f64>;
 #[serde(default)]
 pub struct StageLog {
     /// Seconds of each stage; those of a stage that ran several times are added.
+    #[serde(deserialize_with = "known")]
     pub seconds: Seconds,
     /// What was left out and why, and how often.
     pub skips: BTreeMap<String, u64>,
@@ -41,6 +42,12 @@ impl StageLog {
     pub fn warn(&mut self, warning: impl Into<String>) {
         self.warnings.push(warning.into());
     }
+}
+
+/// A stage that did not run was once written as null.
+fn known<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Seconds, D::Error> {
+    let all = BTreeMap::<String, Option<f64>>::deserialize(deserializer)?;
+    Ok(all.into_iter().filter_map(|(stage, seconds)| Some((stage, seconds?))).collect())
 }
 
 #[cfg(test)]

@@ -1,15 +1,6 @@
 use crate::{Camera, ImageRgb8, Mask};
 
-/// One view of a frame: where the camera stood, and where its image shows what moves.
-#[derive(Clone, Debug)]
-pub struct View {
-    /// Camera of this frame.
-    pub camera: Camera,
-    /// Foreground mask, of the camera's size.
-    pub mask: Mask,
-}
-
-/// One view of a frame with its photograph.
+/// One view of a frame: its camera, photograph and foreground.
 #[derive(Clone, Debug)]
 pub struct TrainingView {
     /// Camera of this frame.

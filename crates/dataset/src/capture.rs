@@ -1,42 +1,19 @@
 use crate::meta::{Entry, Meta, io_error};
-use crate::{DatasetError, PointCloud, pixels, points};
+use crate::{DatasetError, pixels, points};
 use ffgs_core::{Camera, ImageRgb8, Mask};
-use std::fmt;
+use ffgs_method::{Points, Split};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Which part of a capture a view belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Split {
-    /// Views that are reconstructed from.
-    Train,
-    /// Held-out views; may move.
-    Test,
-    /// Views of frame 0 only, for the first frame, never for evaluation.
-    Init,
-}
+/// Initial points of a capture.
+pub(crate) const POINTS_FILE: &str = "init_pt_cld.npz";
 
-impl Split {
-    /// All splits.
-    pub const ALL: [Self; 3] = [Self::Train, Self::Test, Self::Init];
-
-    /// Name of the camera list in a capture.
-    pub fn meta_file(self) -> &'static str {
-        match self {
-            Self::Train => "train_meta.json",
-            Self::Test => "test_meta.json",
-            Self::Init => "init_meta.json",
-        }
-    }
-}
-
-impl fmt::Display for Split {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Train => "train",
-            Self::Test => "test",
-            Self::Init => "init",
-        })
+/// Name of the camera list of a split.
+pub(crate) fn meta_file(split: Split) -> &'static str {
+    match split {
+        Split::Train => "train_meta.json",
+        Split::Test => "test_meta.json",
+        Split::Init => "init_meta.json",
     }
 }
 
@@ -54,6 +31,8 @@ pub struct View {
 pub struct Capture {
     root: PathBuf,
     splits: [Meta; 3],
+    /// Names of the views of each split.
+    names: [Vec<String>; 3],
 }
 
 impl Capture {
@@ -62,7 +41,7 @@ impl Capture {
         if !root.is_dir() {
             return Err(io_error(root, io::Error::new(io::ErrorKind::NotFound, "no such capture folder")));
         }
-        let file = |split: Split| root.join(split.meta_file());
+        let file = |split: Split| root.join(meta_file(split));
         let train = Meta::read(&file(Split::Train))?;
         let test = Meta::read_optional(&file(Split::Test))?;
         let init = Meta::read_optional(&file(Split::Init))?;
@@ -70,7 +49,9 @@ impl Capture {
             let reason = format!("{} frames, train has {}", test.entries.len(), train.entries.len());
             return Err(DatasetError::Meta { file: file(Split::Test), reason });
         }
-        Ok(Self { root: root.to_owned(), splits: [train, test, init] })
+        let splits = [train, test, init];
+        let names = splits.each_ref().map(|meta| meta.views.iter().map(|view| view.name.clone()).collect());
+        Ok(Self { root: root.to_owned(), splits, names })
     }
 
     /// The capture's folder.
@@ -94,11 +75,16 @@ impl Capture {
         &self.meta(split).views
     }
 
+    /// Names of these views.
+    pub fn names(&self, split: Split) -> &[String] {
+        &self.names[split as usize]
+    }
+
     /// The camera of a view at a frame.
     pub fn camera(&self, split: Split, view: usize, frame: usize) -> Result<Camera, DatasetError> {
         let entry = self.entry(split, view, frame)?;
         entry.camera().map_err(|source| DatasetError::Camera {
-            file: self.root.join(split.meta_file()),
+            file: self.root.join(meta_file(split)),
             view: self.views(split)[view].name.clone(),
             frame,
             source,
@@ -137,14 +123,14 @@ impl Capture {
         if path.exists() { pixels::read_mask(&path, size).map(Some) } else { Ok(None) }
     }
 
-    /// Reads the initial points; non-finite ones are dropped and counted in [`PointCloud::dropped`].
-    pub fn initial_points(&self) -> Result<PointCloud, DatasetError> {
+    /// Reads the initial points; non-finite ones are dropped and counted in [`Points::dropped`].
+    pub fn initial_points(&self) -> Result<Points, DatasetError> {
         points::read(&self.points_path())
     }
 
     /// Path of the initial points.
     pub fn points_path(&self) -> PathBuf {
-        self.root.join("init_pt_cld.npz")
+        self.root.join(POINTS_FILE)
     }
 
     fn meta(&self, split: Split) -> &Meta {

@@ -1,8 +1,9 @@
+use crate::capture::meta_file;
 use crate::suspicions;
-use crate::{Capture, CheckReport, DatasetError, Fault, Note, PointCloud, Split, SplitSummary, ViewSummary};
+use crate::{Capture, CheckReport, DatasetError, Note, SplitSummary, ViewSummary};
 use ffgs_core::{ImageRgb8, Mask};
+use ffgs_method::{Fault, Points, Split};
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Below this no motion can be triangulated.
@@ -52,11 +53,11 @@ pub fn check_with_progress(
     report
 }
 
-fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
+fn check_points(capture: &Capture, report: &mut CheckReport) -> Points {
     let file = capture.points_path();
     let points = capture.initial_points().unwrap_or_else(|error| {
-        report.faults.push(fault(&file, &error));
-        PointCloud::default()
+        report.faults.push(error.in_capture(capture.root()));
+        Points::default()
     });
     report.points = points.len();
     report.foreground_points = points.foreground_count();
@@ -77,7 +78,7 @@ fn check_points(capture: &Capture, report: &mut CheckReport) -> PointCloud {
 struct Checker<'a> {
     capture: &'a Capture,
     images: ImageCheck,
-    points: &'a PointCloud,
+    points: &'a Points,
     tick: &'a (dyn Fn() + Sync),
 }
 
@@ -87,7 +88,7 @@ impl Checker<'_> {
         let mut faults = Vec::new();
         for frame in 0..self.capture.frames_of(split) {
             if let Err(error) = self.frame(split, view, frame, &mut summary, &mut faults) {
-                faults.push(fault(&file_of(&error, self.capture), &error));
+                faults.push(error.in_capture(self.capture.root()));
             }
             (self.tick)();
         }
@@ -136,7 +137,7 @@ impl Checker<'_> {
                 summary.images += 1;
                 summary.brightness += brightness;
             }
-            Err(error) => faults.push(fault(&file_of(&error, self.capture), &error)),
+            Err(error) => faults.push(error.in_capture(self.capture.root())),
         }
         if let Some(mask) = self.capture.load_mask(split, view, frame)? {
             summary.masks += 1;
@@ -175,11 +176,11 @@ fn check_splits(capture: &Capture, report: &mut CheckReport) {
     if train < MIN_TRAIN_VIEWS {
         let problem =
             format!("{train} training view: motion is triangulated from at least {MIN_TRAIN_VIEWS}");
-        let file = capture.root().join(Split::Train.meta_file());
+        let file = capture.root().join(meta_file(Split::Train));
         report.faults.push(Fault { file, problem, fix: "add calibrated cameras of the same scene".into() });
     }
     if capture.views(Split::Test).is_empty() {
-        let file = capture.root().join(Split::Test.meta_file());
+        let file = capture.root().join(meta_file(Split::Test));
         report.notes.push(Note { file, text: "no test views: no quality is measured".into() });
     }
 }
@@ -224,27 +225,8 @@ fn note_blind_views(capture: &Capture, report: &mut CheckReport) {
     let blind = report.views.iter().filter(|v| v.points_seen == 0 && v.size.is_some() && report.points > 0);
     let text = "sees no initial point at frame 0 (is its pose world-to-camera, in metres, OpenCV axes?)";
     let note = |v: &ViewSummary| Note {
-        file: capture.root().join(v.split.meta_file()),
+        file: capture.root().join(meta_file(v.split)),
         text: format!("camera '{}' {text}", v.name),
     };
     report.notes.extend(blind.map(note).collect::<Vec<_>>());
-}
-
-fn fault(file: &Path, error: &DatasetError) -> Fault {
-    // The file is printed in front of the problem; the error's own text starts with it too.
-    let text = error.to_string();
-    let problem = text.strip_prefix(&format!("{}: ", file.display())).unwrap_or(&text).to_owned();
-    Fault { file: file.to_owned(), problem, fix: error.fix().to_owned() }
-}
-
-fn file_of(error: &DatasetError, capture: &Capture) -> PathBuf {
-    match error {
-        DatasetError::Io { file, .. }
-        | DatasetError::Meta { file, .. }
-        | DatasetError::Camera { file, .. }
-        | DatasetError::Image { file, .. }
-        | DatasetError::ImageSize { file, .. } => file.clone(),
-        DatasetError::Points(_) => capture.points_path(),
-        DatasetError::NoSuchView { split, .. } => capture.root().join(split.meta_file()),
-    }
 }

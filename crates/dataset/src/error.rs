@@ -60,7 +60,7 @@ pub enum DatasetError {
     #[error("{split} has no view {view} at frame {frame}")]
     NoSuchView {
         /// The split.
-        split: super::Split,
+        split: ffgs_method::Split,
         /// View index.
         view: usize,
         /// Frame index.

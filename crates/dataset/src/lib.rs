@@ -13,14 +13,16 @@
 mod capture;
 mod check;
 mod error;
+mod format;
 mod meta;
 mod pixels;
 mod points;
 mod report;
 mod suspicions;
 
-pub use capture::{Capture, Split, View};
+pub use capture::{Capture, View};
 pub use check::{ImageCheck, check, check_with_progress};
 pub use error::DatasetError;
-pub use points::PointCloud;
-pub use report::{CheckReport, Fault, Note, SplitSummary, ViewSummary};
+pub use ffgs_method::{Fault, Points, Split};
+pub use format::Dynamic3dGaussians;
+pub use report::{CheckReport, Note, SplitSummary, ViewSummary};

@@ -1,18 +1,7 @@
-use crate::Split;
 use ffgs_core::ImageSize;
+use ffgs_method::{Fault, Split};
 use std::fmt;
 use std::path::PathBuf;
-
-/// Something that keeps the method from running.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fault {
-    /// The file at fault.
-    pub file: PathBuf,
-    /// What is wrong; names the file where it helps.
-    pub problem: String,
-    /// What to do about it.
-    pub fix: String,
-}
 
 /// Something worth knowing that the method can go on with.
 #[derive(Clone, Debug, PartialEq, Eq)]

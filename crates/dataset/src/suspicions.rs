@@ -1,6 +1,6 @@
 //! Gross mistakes that a capture's cameras, points and masks give away.
 
-use crate::{Capture, Fault, Note, PointCloud, Split, ViewSummary};
+use crate::{Capture, Fault, Note, Points, Split, ViewSummary};
 use ffgs_core::Camera;
 use glam::{DMat4, DVec3};
 
@@ -18,13 +18,13 @@ const EXPOSURE_RATIO: f64 = 1.4;
 const PLAUSIBLE_METRES: (f64, f64) = (0.1, 1000.0);
 
 /// What is found from the cameras of frame 0, the points and what was counted of every view.
-pub(crate) fn find(capture: &Capture, points: &PointCloud, views: &[ViewSummary]) -> (Vec<Fault>, Vec<Note>) {
+pub(crate) fn find(capture: &Capture, points: &Points, views: &[ViewSummary]) -> (Vec<Fault>, Vec<Note>) {
     let (mut faults, mut notes) = (Vec::new(), Vec::new());
     let train = cameras(capture, Split::Train);
     faults.extend(inverted_poses(capture, &train, points));
     faults.extend(inverted_masks(capture, views));
     for split in Split::ALL {
-        let file = capture.root().join(split.meta_file());
+        let file = capture.root().join(crate::capture::meta_file(split));
         for (name, camera) in cameras(capture, split) {
             let (found, told) = principal_point(&name, &camera);
             let fix = "scale the intrinsics with the images: they belong to another size".to_owned();
@@ -44,7 +44,7 @@ fn cameras(capture: &Capture, split: Split) -> Vec<(String, Camera)> {
 }
 
 /// Mean part of the points that the cameras see.
-fn seen(cameras: &[Camera], points: &PointCloud) -> f64 {
+fn seen(cameras: &[Camera], points: &Points) -> f64 {
     // A thousand points tell as much as all.
     let step = points.len().div_ceil(1000).max(1);
     let chosen: Vec<DVec3> = points.positions.iter().step_by(step).map(|p| p.map(f64::from).into()).collect();
@@ -53,7 +53,7 @@ fn seen(cameras: &[Camera], points: &PointCloud) -> f64 {
     cameras.iter().map(count).sum::<usize>() as f64 / all as f64
 }
 
-fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &PointCloud) -> Option<Fault> {
+fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &Points) -> Option<Fault> {
     let as_given: Vec<Camera> = train.iter().map(|(_, c)| *c).collect();
     let turned = |change: &dyn Fn(DMat4) -> DMat4| -> Vec<Camera> {
         let camera = |c: &Camera| Camera::new(c.intrinsics(), change(c.camera_from_world()), c.size()).ok();
@@ -75,7 +75,7 @@ fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &PointC
         .map(|(name, change)| (name, seen(&turned(change), points)))
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     (then > FAR_MORE_SEEN * now && then > FEW_SEEN).then(|| Fault {
-        file: capture.root().join(Split::Train.meta_file()),
+        file: capture.root().join(crate::capture::meta_file(Split::Train)),
         problem: format!(
             "the cameras see {:.0} % of the points; if w2c were {name}, they would see {:.0} %",
             now * 100.0,
@@ -128,12 +128,12 @@ fn shared_cameras(capture: &Capture, train: &[(String, Camera)]) -> Option<Note>
     let names: Vec<String> =
         cameras(capture, Split::Test).into_iter().filter(|(_, c)| same(c)).map(|(name, _)| name).collect();
     (!names.is_empty()).then(|| Note {
-        file: capture.root().join(Split::Test.meta_file()),
+        file: capture.root().join(crate::capture::meta_file(Split::Test)),
         text: format!("{} also trained on: their figures say nothing of new views", names.join(", ")),
     })
 }
 
-fn distances(capture: &Capture, train: &[(String, Camera)], points: &PointCloud) -> Option<Note> {
+fn distances(capture: &Capture, train: &[(String, Camera)], points: &Points) -> Option<Note> {
     let step = points.len().div_ceil(1000).max(1);
     let sample = || points.positions.iter().step_by(step);
     let mut all: Vec<f64> = train
@@ -144,7 +144,7 @@ fn distances(capture: &Capture, train: &[(String, Camera)], points: &PointCloud)
     let median = *all.get(all.len() / 2)?;
     let plausible = median > PLAUSIBLE_METRES.0 && median < PLAUSIBLE_METRES.1;
     (!plausible).then(|| Note {
-        file: capture.root().join(Split::Train.meta_file()),
+        file: capture.root().join(crate::capture::meta_file(Split::Train)),
         text: format!(
             "half of the points are nearer to the cameras than {median:.3} m: are the lengths metres?"
         ),

@@ -1,7 +1,8 @@
 //! A small synthetic capture, and every way in which it can be wrong.
 
 use ffgs_arrays::NpzWriter;
-use ffgs_dataset::{Capture, CheckReport, DatasetError, ImageCheck, Split, check, check_with_progress};
+use ffgs_dataset::{Capture, CheckReport, DatasetError, ImageCheck, check, check_with_progress};
+use ffgs_method::Split;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;

@@ -3,18 +3,16 @@
 use crate::cells::{Cell, Cells, Scorer, merge};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
-use ffgs_core::{DenseMotion, Dynamic, Gaussians, TrainingView};
-use ffgs_dataset::Capture;
+use ffgs_core::{DenseMotion, Dynamic, Gaussians, Seconds, StageLog, TrainingView};
+use ffgs_method::{Capture, Split, Step, TrackSource};
+use ffgs_motion::{MotionInput, move_by, observe, turned};
 use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
-use ffgs_pipeline::cli::{FrameRange, Init, LogArgs};
+use ffgs_pipeline::cli::{FrameRange, LogArgs};
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::frame::{TrainViews, load_training};
-use ffgs_pipeline::motion::{MotionInput, MotionOutcome, move_by, observe};
+use ffgs_pipeline::frame::{load_training, select_views};
 use ffgs_pipeline::record::RunFolder;
+use ffgs_pipeline::registry::open_capture;
 use ffgs_pipeline::state;
-use ffgs_pipeline::turn::turned;
-use ffgs_report::StageSeconds;
-use ffgs_tracks::TrackStore;
 use ffgs_trainer::from_points;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::BTreeMap;
@@ -59,9 +57,9 @@ pub struct Evaluation {
     /// Settings of the motion initialisation.
     pub config: Config,
     /// The capture.
-    pub capture: Capture,
-    tracks: TrackStore,
-    views: TrainViews,
+    pub capture: Box<dyn Capture>,
+    tracks: Vec<Box<dyn TrackSource>>,
+    views: Vec<usize>,
     truth: Truth,
     /// Frames that are scored.
     pub frames: Range<usize>,
@@ -75,9 +73,10 @@ impl Evaluation {
     /// Opens the capture in `root`.
     pub fn open(root: &Path, args: &SourceArgs) -> Result<Self> {
         let config = configuration(args.config.as_deref())?;
-        let capture = Capture::open(root)?;
-        let tracks = TrackStore::open(root)?.context("the capture has no tracks/tracks.json")?;
-        let views = TrainViews::select(&capture, None)?;
+        let capture = open_capture(root)?;
+        let tracks = ffgs_tracks::sources(root)?;
+        ensure!(!tracks.is_empty(), "the capture has no tracks/tracks.json");
+        let views = select_views(&*capture, None)?;
         let truth = Truth::read(root)?;
         let count = capture.frames().min(truth.frames());
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
@@ -91,7 +90,7 @@ impl Evaluation {
                 let scene = state::load(&run.state(0)).context("--run: no state of frame 0")?;
                 (scene.dynamic.gaussians, scene.static_layer)
             }
-            None => initial_points(&capture)?,
+            None => initial_points(&*capture)?,
         };
         Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, start })
     }
@@ -128,45 +127,52 @@ impl Evaluation {
         frame: usize,
         steps: &mut Vec<DVec3>,
         flow: &mut FlowErrors,
-    ) -> Result<(Cells, StageSeconds)> {
+    ) -> Result<(Cells, Seconds)> {
         let (moving, fixed) = self.layers(frame)?;
-        let before = load_training(&self.capture, &self.views, frame - 1)?;
-        let now = load_training(&self.capture, &self.views, frame)?;
-        let input = MotionInput {
-            config: &self.config,
-            init: &Init::Fused,
-            tracks: Some(&self.tracks),
+        let before = load_training(&*self.capture, &self.views, frame - 1)?;
+        let now = load_training(&*self.capture, &self.views, frame)?;
+        let previous = moving.positions();
+        let step = Step {
+            frame,
+            seed: self.config.seed,
+            capture: &*self.capture,
             views: &self.views,
             before: &before,
             now: &now,
-            frame,
+            tracks: &self.tracks,
+        };
+        let input = MotionInput {
+            config: &self.config.motion(),
+            step,
+            trackers: self.tracks.iter().map(AsRef::as_ref).collect(),
             static_layer: &fixed,
+            previous: &previous,
             gpu: None,
         };
-        let mut outcome = MotionOutcome { previous: moving.positions(), ..MotionOutcome::default() };
+        let mut log = StageLog::default();
         let mut faults = Vec::new();
         let mut inspect = |v: usize, fields: &[DenseMotion]| {
             if let Err(error) = self.score_flow(frame, v, &before[v], fields, flow) {
                 faults.push(error);
             }
         };
-        let mut observations = observe(&input, &moving, &mut outcome, &mut inspect)?;
+        let mut observations = observe(&input, &moving, &mut log, &mut inspect)?;
         faults.into_iter().next().map_or(Ok(()), Err)?;
         // The places are exact: the posterior is that of this frame's motion alone.
         let covariances = vec![DMat3::ZERO; moving.len()];
         let steps_before = std::mem::take(steps);
         let mut dynamic =
             Dynamic { gaussians: moving, covariances, steps: steps_before, ..Dynamic::default() };
-        let estimates = move_by(&input, &mut observations, &mut dynamic, &mut outcome)?;
+        let estimates = move_by(&input, &mut observations, &mut dynamic, &mut log)?;
         steps.clone_from(&dynamic.steps);
-        let parts = self.truth.parts_at(frame - 1, &outcome.previous)?;
-        let scorer = Scorer { truth: &self.truth, frame, previous: &outcome.previous, parts: &parts };
+        let parts = self.truth.parts_at(frame - 1, &previous)?;
+        let scorer = Scorer { truth: &self.truth, frame, previous: &previous, parts: &parts };
         let mut cells = Cells::new();
         for (l, estimate) in estimates.iter().enumerate() {
-            cells.insert(format!("{} {}", l + 1, self.tracks.trackers()[l].name), scorer.tracker(estimate));
+            cells.insert(format!("{} {}", l + 1, self.tracks[l].name()), scorer.tracker(estimate));
         }
         cells.insert("fused".into(), scorer.fused(&dynamic));
-        Ok((cells, outcome.seconds))
+        Ok((cells, log.seconds))
     }
 
     fn score_flow(
@@ -177,11 +183,11 @@ impl Evaluation {
         fields: &[DenseMotion],
         out: &mut FlowErrors,
     ) -> Result<()> {
-        let camera = &self.views.selected[view].1;
+        let camera = &self.capture.views(Split::Train)[self.views[view]];
         let file = self.capture.root().join(format!("truth/flow/{camera}/{:06}.npz", frame - 1));
         if let Some(truth) = TrueFlow::read(&file, before.camera.size())? {
-            for (tracker, field) in self.tracks.trackers().iter().zip(fields) {
-                flow_error(field, &truth, &before.mask, out.entry(tracker.name.clone()).or_default());
+            for (tracker, field) in self.tracks.iter().zip(fields) {
+                flow_error(field, &truth, &before.mask, out.entry(tracker.name().to_owned()).or_default());
             }
         }
         Ok(())
@@ -190,10 +196,10 @@ impl Evaluation {
 
 /// The capture's initial foreground points as opaque Gaussians, and nothing around them: gross errors among the
 /// background points would hide what moves.
-fn initial_points(capture: &Capture) -> Result<(Gaussians, Gaussians)> {
+fn initial_points(capture: &dyn Capture) -> Result<(Gaussians, Gaussians)> {
     /// The points lie on the surfaces, so that nothing shines through them.
     const OPACITY: f32 = 0.9;
-    let points = capture.initial_points()?;
+    let points = capture.points()?.context("the capture has no initial points")?;
     let all = from_points(&points.positions, &points.colours, 0, OPACITY);
     let moving: Vec<usize> = (0..all.len()).filter(|&i| points.foreground[i]).collect();
     Ok((all.select(&moving), all.select(&[])))

@@ -4,12 +4,13 @@ use crate::cells::{Cell, Cells, merge};
 use crate::evaluation::{Evaluation, FlowErrors, SourceArgs};
 use anyhow::Result;
 use clap::Args;
+use ffgs_core::Seconds;
 use ffgs_motion_eval::{BINS_CM, FlowSummary, NOMINAL, Row, Summary, summarise, table};
 use ffgs_pipeline::record::{Metrics, publish, write_json};
 use ffgs_pipeline::render::{FinishedRun, progress};
-use ffgs_report::{MotionAccuracy, StageSeconds};
+use ffgs_report::MotionAccuracy;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// `ffgs-lab motion-eval`.
@@ -48,7 +49,7 @@ struct Report {
 #[derive(Debug, Serialize)]
 struct FrameScore {
     frame: usize,
-    seconds: StageSeconds,
+    seconds: Seconds,
     scores: BTreeMap<String, BTreeMap<String, Entry>>,
 }
 
@@ -154,18 +155,12 @@ fn text(cells: &Cells) -> String {
     table(&rows)
 }
 
-/// Mean seconds a frame of each stage.
+/// Mean seconds per frame of each stage.
 fn stages(frames: &[FrameScore]) -> String {
-    let mean = |of: fn(&StageSeconds) -> Option<f64>| {
-        frames.iter().filter_map(|f| of(&f.seconds)).sum::<f64>() / frames.len().max(1) as f64
+    let names: BTreeSet<&String> = frames.iter().flat_map(|f| f.seconds.keys()).collect();
+    let mean = |name: &str| {
+        frames.iter().filter_map(|f| f.seconds.get(name)).sum::<f64>() / frames.len().max(1) as f64
     };
-    format!(
-        "seconds a frame: load {:.3}, densify {:.3}, agreement {:.3}, association {:.3}, triangulation {:.3}, fusion {:.3}",
-        mean(|s| s.load),
-        mean(|s| s.voronoi),
-        mean(|s| s.agreement),
-        mean(|s| s.association),
-        mean(|s| s.triangulation),
-        mean(|s| s.fusion)
-    )
+    let stages: Vec<String> = names.iter().map(|name| format!("{name} {:.3}", mean(name))).collect();
+    format!("seconds per frame: {}", stages.join(", "))
 }

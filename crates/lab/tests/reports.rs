@@ -2,9 +2,10 @@
 
 use ffgs_lab::evaluation::SourceArgs;
 use ffgs_lab::motion_eval::{self, MotionEvalArgs};
-use ffgs_pipeline::cli::{FrameRange, Init, LogArgs};
+use ffgs_pipeline::cli::{FrameRange, LogArgs};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
+use ffgs_pipeline::method::MethodChoice;
 use ffgs_pipeline::record::{RunFolder, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;
@@ -28,7 +29,7 @@ fn request(out: &Path) -> RunRequest {
         capture: sample(),
         out: out.to_owned(),
         resume: false,
-        init: Init::Fused,
+        method: MethodChoice::default(),
         frames: Some(FrameRange { start: 0, end: Some(2) }),
         train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
         first_frame: None,

@@ -2,7 +2,7 @@
 
 use crate::{Capture, TrackSource, ViewStep};
 use anyhow::Result;
-use ffgs_core::{Scene, StageLog, TrainingView, View};
+use ffgs_core::{Scene, StageLog, TrainingView};
 use std::path::{Path, PathBuf};
 
 /// Carries a scene from frame to frame. It owns what it must remember, and may train in its own way.
@@ -83,7 +83,7 @@ pub struct Step<'a> {
     /// Training views used, as indices into the capture's training split.
     pub views: &'a [usize],
     /// These views at t-1.
-    pub before: &'a [View],
+    pub before: &'a [TrainingView],
     /// These views at t.
     pub now: &'a [TrainingView],
     /// The capture's trackers.

@@ -10,6 +10,11 @@ pub trait Plugin: Send + Sync {
 
     /// What it is, in one line.
     fn summary(&self) -> &'static str;
+
+    /// How it is asked for: its name, and what is to be given with it, if anything.
+    fn usage(&self) -> &'static str {
+        self.name()
+    }
 }
 
 /// All plug-ins of a kind, in the order in which they are tried and printed.
@@ -32,15 +37,15 @@ impl<T: Plugin + ?Sized> Registry<T> {
 
     /// Names, for messages: "a, b, c".
     pub fn names(&self) -> String {
-        self.items.iter().map(|item| item.name()).collect::<Vec<_>>().join(", ")
+        self.items.iter().map(|item| item.usage()).collect::<Vec<_>>().join(", ")
     }
 
     /// One line per plug-in: name and summary.
     pub fn table(&self) -> String {
-        let width = self.items.iter().map(|item| item.name().len()).max().unwrap_or(0);
+        let width = self.items.iter().map(|item| item.usage().len()).max().unwrap_or(0);
         self.items.iter().fold(String::new(), |mut text, item| {
             // Writing to a string does not fail.
-            let _ = writeln!(text, "  {:width$}  {}", item.name(), item.summary());
+            let _ = writeln!(text, "  {:width$}  {}", item.usage(), item.summary());
             text
         })
     }

@@ -3,7 +3,8 @@
 
 use anyhow::Result;
 use ffgs_core::ImageSize;
-use ffgs_dataset::{Capture, CheckReport, Fault, ImageCheck, Note, Split, check_with_progress};
+use ffgs_dataset::{Capture, CheckReport, ImageCheck, Note, check_with_progress};
+use ffgs_method::{Fault, Split};
 use ffgs_tracks::{TrackStore, TracksFault, TracksReport};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
@@ -68,7 +69,7 @@ fn check_tracks(capture: &Capture, content: &mut CheckReport) -> TracksReport {
     let tracks = match TrackStore::open(capture.root()) {
         Ok(Some(store)) => ffgs_tracks::check(&store, &training_cameras(capture), capture.frames()),
         Ok(None) => {
-            let text = "no tracks.json: only `ffgs run --init none` can be used".to_owned();
+            let text = "no tracks.json: only `ffgs run --method none` can be used".to_owned();
             content.notes.push(Note { file: folder, text });
             return TracksReport::default();
         }

@@ -1,6 +1,8 @@
 //! The command line of `ffgs`.
 
 use crate::device::{self, Device};
+use crate::method::{MethodChoice, MethodParser};
+use crate::registry::{CAPTURES, METHODS};
 use crate::stage::{self, Stage};
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand};
@@ -37,6 +39,10 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure a finished run again
     Eval(EvalArgs),
+    /// List the methods that `run --method` takes
+    Methods,
+    /// List the formats of captures that are read
+    Formats,
     /// List the GPUs, their limits and what each would be used as
     Devices,
     /// Print the configuration, every key with its meaning
@@ -124,7 +130,7 @@ pub struct StageArgs {
         survive a kill; --resume goes on from there.",
     after_help = "Examples:\n  ffgs run fixtures/scenes/fairmont-mini --out out/mini\n  \
         ffgs run CAPTURE --out out/quick --frames 0..3 --iterations 50\n  \
-        ffgs run CAPTURE --out out/none --init none --first-frame out/mini   # compare without motion\n  \
+        ffgs run CAPTURE --out out/none --method none --first-frame out/mini   # compare without motion\n  \
         ffgs run CAPTURE --out out/mini --resume"
 )]
 pub struct RunArgs {
@@ -136,10 +142,9 @@ pub struct RunArgs {
     /// Go on with the frames that are not finished; the result is that of a run that was never stopped
     #[arg(long)]
     pub resume: bool,
-    /// Where a frame starts: `fused` = moved by all trackers, `none` = where the last frame ended, `tracker:NAME` =
-    /// moved by one tracker
-    #[arg(long, value_name = "fused|none|tracker:NAME")]
-    pub init: Option<Init>,
+    /// How the scene moves from frame to frame
+    #[arg(long, alias = "init", value_name = "METHOD", value_parser = MethodParser)]
+    pub method: Option<MethodChoice>,
     /// Iterations of the dynamic layer a frame
     #[arg(long, value_name = "N")]
     pub iterations: Option<usize>,
@@ -221,31 +226,6 @@ pub struct EvalArgs {
     pub log: LogArgs,
 }
 
-/// Where a frame's Gaussians start.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Init {
-    /// Moved by the fusion of all trackers.
-    #[default]
-    Fused,
-    /// Where the last frame ended.
-    None,
-    /// Moved by one tracker.
-    Tracker(String),
-}
-
-impl FromStr for Init {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match (text, text.strip_prefix("tracker:")) {
-            ("fused", _) => Ok(Self::Fused),
-            ("none", _) => Ok(Self::None),
-            (_, Some(name)) if !name.is_empty() => Ok(Self::Tracker(name.to_owned())),
-            _ => Err("expected fused, none or tracker:NAME".to_owned()),
-        }
-    }
-}
-
 /// Frames from `start` up to but not including `end`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameRange {
@@ -310,6 +290,8 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             args.log.start();
             crate::eval::eval(&args)?;
         }
+        Command::Methods => print!("{}", METHODS.table()),
+        Command::Formats => print!("captures:\n{}", CAPTURES.table()),
         Command::Devices => device::list(),
         Command::Config(args) => crate::config_text::print(&args)?,
         Command::Stage(args) => {
@@ -348,20 +330,19 @@ mod tests {
         let words =
             ["cap", "--out", "o", "--init", "tracker:dot", "--frames", "2..4", "--train-views", "a,b"];
         let args: RunArgs = parse(&words).unwrap();
-        assert_eq!(args.init, Some(Init::Tracker("dot".to_owned())));
+        assert_eq!(args.method, "tracker:dot".parse().ok());
         assert_eq!(args.frames, Some(FrameRange { start: 2, end: Some(4) }));
         assert_eq!(args.train_views, Some(vec!["a".to_owned(), "b".to_owned()]));
         assert!(parse::<RunArgs>(&["cap"]).is_err());
     }
 
     #[test]
-    fn frames_and_starts_that_mean_nothing_are_refused() {
+    fn frames_that_mean_nothing_are_refused() {
         assert_eq!("..3".parse(), Ok(FrameRange { start: 0, end: Some(3) }));
         assert_eq!("3..".parse(), Ok(FrameRange { start: 3, end: None }));
         for wrong in ["3", "3..3", "4..2", "a..b", "-1..2"] {
             assert!(wrong.parse::<FrameRange>().is_err(), "{wrong}");
         }
-        assert!("tracker:".parse::<Init>().is_err());
     }
 
     #[test]

@@ -57,9 +57,9 @@ impl Console {
             of(|v| v.mpsnr),
             record.static_gaussians,
             record.dynamic_gaussians,
-            record.seconds.wall.unwrap_or(0.0)
+            record.log.seconds.get("wall").copied().unwrap_or(0.0)
         );
-        for warning in &record.warnings {
+        for warning in &record.log.warnings {
             tracing::warn!("frame {}: {warning}", record.frame);
         }
     }

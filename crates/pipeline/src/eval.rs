@@ -6,13 +6,13 @@ use crate::record::{FrameRecord, Metrics, ViewMetrics, publish, read_json, write
 use crate::render::{FinishedRun, progress};
 use crate::scoring::{load_tests, score};
 use anyhow::{Result, bail};
-use ffgs_dataset::Split;
+use ffgs_method::Split;
 use ffgs_report::FramePictures;
 
 /// Renders and measures the test views of every finished frame, and writes metrics and report again.
 pub fn eval(args: &EvalArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
-    let (capture, folder) = (&run.capture, &run.folder);
+    let (capture, folder) = (&*run.capture, &run.folder);
     if capture.views(Split::Test).is_empty() {
         bail!("{} has no test views to measure", capture.root().display());
     }

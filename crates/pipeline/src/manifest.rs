@@ -1,7 +1,7 @@
 //! `run.json`: what was run, on what, with which settings.
 
-use crate::cli::Init;
 use crate::config::Config;
+use crate::method::MethodChoice;
 use crate::record::{RunFolder, read_json, write_json};
 use crate::run::RunRequest;
 use anyhow::{Context, Result, bail};
@@ -19,8 +19,9 @@ pub struct Manifest {
     pub capture_path: PathBuf,
     /// Frames.
     pub frames: Range<usize>,
-    /// Trackers used.
-    pub init: String,
+    /// How the scene moved.
+    #[serde(alias = "init")]
+    pub method: MethodChoice,
     /// Training cameras, when not all.
     pub train_views: Option<Vec<String>>,
     /// Run that frame 0 was taken from.
@@ -44,11 +45,7 @@ impl Manifest {
             capture: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             capture_path: path,
             frames: frames.clone(),
-            init: match &request.init {
-                Init::Fused => "fused".into(),
-                Init::None => "none".into(),
-                Init::Tracker(name) => format!("tracker:{name}"),
-            },
+            method: request.method.clone(),
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
             device,
@@ -73,7 +70,7 @@ impl Manifest {
                     "{} holds another run ({}, {}); choose another --out or remove the folder",
                     folder.0.display(),
                     other.capture,
-                    other.init
+                    other.method
                 );
             }
             if !resume && has_frames(&folder.0) {
@@ -99,7 +96,7 @@ impl Manifest {
             fact("machine", self.machine.clone()),
             fact("device", self.device.clone()),
             fact("frames", format!("{}..{}", self.frames.start, self.frames.end)),
-            fact("initialisation", self.init.clone()),
+            fact("method", self.method.to_string()),
             fact("seed", self.config.seed.to_string()),
         ]
     }

@@ -2,7 +2,8 @@
 
 use crate::manifest::Manifest;
 use anyhow::{Context, Result};
-use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, StageSeconds, ViewReport};
+use ffgs_core::StageLog;
+use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, ViewReport};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -41,12 +42,9 @@ pub struct FrameRecord {
     /// Most memory that the program had held when the frame was done (MiB); absent where the system does not say.
     #[serde(default)]
     pub peak_memory_mib: Option<f64>,
-    /// Seconds a stage.
-    pub seconds: StageSeconds,
-    /// Counted skips.
-    pub skips: BTreeMap<String, u64>,
-    /// Warnings.
-    pub warnings: Vec<String>,
+    /// Seconds, skips and warnings of its stages.
+    #[serde(flatten)]
+    pub log: StageLog,
 }
 
 /// Means over frames and views.
@@ -93,7 +91,7 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
         mpsnr: mean(views.iter().filter_map(|v| v.mpsnr)),
         ssim: mean(views.iter().map(|v| v.ssim)),
         initial_mpsnr: mean(later.iter().filter_map(|f| f.initial_mpsnr)),
-        seconds_per_frame: mean(later.iter().filter_map(|f| f.seconds.wall)),
+        seconds_per_frame: mean(later.iter().filter_map(|f| f.log.seconds.get("wall").copied())),
         gaussians: mean(later.iter().map(|f| (f.static_gaussians + f.dynamic_gaussians) as f64)),
         bytes_per_frame: mean(later.iter().map(|f| f.bytes as f64)),
     }
@@ -132,6 +130,11 @@ impl RunFolder {
     /// The frame's exact state; it exists when, and only when, the frame is finished.
     pub fn state(&self, frame: usize) -> PathBuf {
         self.frame(frame).join("state.ffgs")
+    }
+
+    /// What the method keeps for the next frame, where it keeps anything.
+    pub fn method_state(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("method.state")
     }
 
     /// The frame's numbers.
@@ -176,7 +179,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     let mut facts = manifest.facts();
     write_json(&folder.0.join("metrics.json"), metrics)?;
     let mut skips = BTreeMap::<String, u64>::new();
-    for (what, count) in metrics.frames.iter().flat_map(|f| &f.skips) {
+    for (what, count) in metrics.frames.iter().flat_map(|f| &f.log.skips) {
         *skips.entry(what.clone()).or_default() += count;
     }
     if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
@@ -193,7 +196,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
         warnings: metrics
             .frames
             .iter()
-            .flat_map(|f| f.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
+            .flat_map(|f| f.log.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
             .collect(),
     };
     Ok(ffgs_report::write_report(&folder.0.join("report.html"), &input)?)
@@ -213,7 +216,7 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,
         bytes: f.bytes,
-        seconds: f.seconds,
+        seconds: f.log.seconds.clone(),
         pictures: Some(folder.pictures(f.frame)).filter(|path| path.exists()),
     }
 }

@@ -4,11 +4,12 @@ use crate::cli::RenderArgs;
 use crate::lanes::Lanes;
 use crate::manifest::Manifest;
 use crate::record::{FrameRecord, RunFolder, read_json};
+use crate::registry::open_capture;
 use crate::scoring::{render as render_scene, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, ImageRgb8, Scene};
-use ffgs_dataset::{Capture, Split};
+use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::f64::consts::TAU;
@@ -31,7 +32,7 @@ pub struct FinishedRun {
     /// What was run.
     pub manifest: Manifest,
     /// What it was run on.
-    pub capture: Capture,
+    pub capture: Box<dyn Capture>,
     /// Finished frames, ascending.
     pub frames: Vec<usize>,
 }
@@ -56,7 +57,7 @@ impl FinishedRun {
                 folder.manifest().display()
             );
         }
-        let capture = Capture::open(at)?;
+        let capture = open_capture(at)?;
         Ok(Self { folder, manifest, capture, frames })
     }
 
@@ -105,10 +106,10 @@ pub fn render(args: &RenderArgs) -> Result<()> {
     let stem = format!("orbit_{frame:06}");
     let views = match (&args.camera, args.orbit) {
         (Some(name), false) => {
-            vec![(format!("{name}_{frame:06}.png"), named_camera(&run.capture, name, frame)?)]
+            vec![(format!("{name}_{frame:06}.png"), named_camera(&*run.capture, name, frame)?)]
         }
         (None, true) => {
-            let cameras = orbit(&run.capture, &scene, frame)?.into_iter().enumerate();
+            let cameras = orbit(&*run.capture, &scene, frame)?.into_iter().enumerate();
             cameras.map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera)).collect()
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
@@ -130,15 +131,15 @@ pub fn render(args: &RenderArgs) -> Result<()> {
 }
 
 /// The pose of a camera at a frame, whatever its split.
-fn named_camera(capture: &Capture, name: &str, frame: usize) -> Result<Camera> {
+fn named_camera(capture: &dyn Capture, name: &str, frame: usize) -> Result<Camera> {
     for split in Split::ALL {
-        if let Some(view) = capture.views(split).iter().position(|v| v.name == name) {
+        if let Some(view) = capture.views(split).iter().position(|view| view == name) {
             // Views of the init split have one pose.
             let frame = if split == Split::Init { 0 } else { frame };
-            return Ok(capture.camera(split, view, frame)?);
+            return Ok(capture.camera(ViewAt { split, view, frame })?);
         }
     }
-    let names = Split::ALL.iter().flat_map(|&s| capture.views(s)).map(|v| v.name.as_str());
+    let names = Split::ALL.iter().flat_map(|&s| capture.views(s)).map(String::as_str);
     bail!("--camera {name}: the capture has {}", names.collect::<Vec<_>>().join(", "))
 }
 
@@ -150,7 +151,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Cameras on a circle around one moving object.
-fn orbit(capture: &Capture, scene: &Scene, frame: usize) -> Result<Vec<Camera>> {
+fn orbit(capture: &dyn Capture, scene: &Scene, frame: usize) -> Result<Vec<Camera>> {
     let moving = scene.dynamic.gaussians.positions();
     if moving.is_empty() {
         bail!("frame {frame} has no moving Gaussian to circle; choose a --camera");
@@ -158,7 +159,7 @@ fn orbit(capture: &Capture, scene: &Scene, frame: usize) -> Result<Vec<Camera>> 
     let mut cameras = Vec::new();
     for split in [Split::Test, Split::Train] {
         for view in 0..capture.views(split).len() {
-            cameras.push(capture.camera(split, view, frame)?);
+            cameras.push(capture.camera(ViewAt { split, view, frame })?);
         }
     }
     let lens = cameras.first().context("the capture has no camera")?;

@@ -20,7 +20,7 @@ pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
         capture: args.capture.clone(),
         out: args.out.clone(),
         resume: args.resume,
-        init: args.init.clone().unwrap_or_default(),
+        method: args.method.clone().unwrap_or_default(),
         frames: args.frames,
         train_views: args.train_views.clone(),
         first_frame: args.first_frame.clone(),

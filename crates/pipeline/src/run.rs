@@ -1,26 +1,32 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
 use crate::check::check_capture;
-use crate::cli::{FrameRange, Init};
+use crate::cli::FrameRange;
 use crate::config::Config;
 use crate::console::Console;
 use crate::device::{self, Device};
-use crate::frame::{TrainViews, cameras_and_masks, load_training, load_view};
+use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
-use crate::motion::{MotionInput, MotionOutcome, initialise, pixel_sizes};
+use crate::method::{MethodChoice, Parts};
 use crate::record::{FrameRecord, Metrics, RunFolder, publish, read_json, write_json};
+use crate::registry::open_capture;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, TrainingView, spatial_order};
-use ffgs_dataset::{Capture, ImageCheck, Split};
+use ffgs_core::{
+    Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, StageLog, TrainingView, spatial_order,
+    write_atomically,
+};
+use ffgs_dataset::ImageCheck;
 use ffgs_fusion::{dynamic_split, initial_covariance};
 use ffgs_gpu::Gpu;
+use ffgs_method::{Capture, Finetuning, MotionMethod, Split, Step, TrackSource, ViewAt};
+use ffgs_motion::pixel_sizes;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
 use ffgs_splats::Tracked;
-use ffgs_tracks::TrackStore;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
+use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -34,8 +40,8 @@ pub struct RunRequest {
     pub out: PathBuf,
     /// Go on after the last finished frame.
     pub resume: bool,
-    /// Trackers.
-    pub init: Init,
+    /// How the scene moves from frame to frame.
+    pub method: MethodChoice,
     /// Frames; `None` = all. The first is trained from the initial points.
     pub frames: Option<FrameRange>,
     /// Training cameras; `None` = all.
@@ -57,8 +63,9 @@ pub fn run(request: &RunRequest) -> Result<PathBuf> {
 
 fn run_frames(job: &Job) -> Result<PathBuf> {
     let mut console = Console::new(job.request.quiet, job.frames.clone());
-    let (mut metrics, mut last) = job.finished_frames()?;
-    let result = job.frames_after(&mut metrics, &mut last, &mut console);
+    let mut method = job.method()?;
+    let (mut metrics, mut last) = job.finished_frames(&mut *method)?;
+    let result = job.frames_after(&mut metrics, &mut last, &mut *method, &mut console);
     // Also when a frame failed: those before it are finished.
     if result.is_ok() || !metrics.frames.is_empty() {
         job.publish(&metrics)?;
@@ -81,9 +88,10 @@ const PUBLISHING_INTERVAL: u32 = 20;
 
 struct Job<'a> {
     request: &'a RunRequest,
-    capture: Capture,
-    tracks: Option<TrackStore>,
-    views: TrainViews,
+    capture: Box<dyn Capture>,
+    tracks: Vec<Box<dyn TrackSource>>,
+    /// Training views used, by index.
+    views: Vec<usize>,
     frames: Range<usize>,
     folder: RunFolder,
     manifest: Manifest,
@@ -98,13 +106,12 @@ impl<'a> Job<'a> {
         if !check.is_usable() {
             bail!("the capture cannot be used:\n{check}");
         }
-        let capture = Capture::open(&request.capture)?;
-        let views = TrainViews::select(&capture, request.train_views.as_deref())?;
-        if views.selected.len() < 2 {
-            bail!("positions need at least two training views; {} selected", views.selected.len());
+        let capture = open_capture(&request.capture)?;
+        let views = select_views(&*capture, request.train_views.as_deref())?;
+        if views.len() < 2 {
+            bail!("positions need at least two training views; {} selected", views.len());
         }
-        let tracks = TrackStore::open(&request.capture)?;
-        require_tracker(&request.init, tracks.as_ref())?;
+        let tracks = ffgs_tracks::sources(&request.capture)?;
         let count = capture.frames();
         let frames = request.frames.map_or(0..count, |f| f.start..f.end.unwrap_or(count));
         if frames.is_empty() || frames.end > count {
@@ -113,8 +120,21 @@ impl<'a> Job<'a> {
         let folder = RunFolder(request.out.clone());
         let gpus = request.device.open()?;
         let manifest = Manifest::new(request, &frames, device::name(&gpus))?;
-        manifest.claim(&folder, request.resume)?;
-        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpus })
+        let job = Self { request, capture, tracks, views, frames, folder, manifest, gpus };
+        // A method that cannot be made leaves the output folder untouched.
+        job.method()?;
+        job.manifest.claim(&job.folder, request.resume)?;
+        Ok(job)
+    }
+
+    fn method(&self) -> Result<Box<dyn MotionMethod + '_>> {
+        let parts = Parts { config: self.config(), tracks: &self.tracks, gpu: self.gpus.first() };
+        self.request.method.build(&parts)
+    }
+
+    /// For errors of a method: which one it is.
+    fn named(&self, what: &str) -> String {
+        format!("method {}: {what}", self.request.method)
     }
 
     fn config(&self) -> &Config {
@@ -130,14 +150,17 @@ impl<'a> Job<'a> {
     }
 
     /// On resume, the frames that are finished: their numbers, and what the last of them leaves.
-    fn finished_frames(&self) -> Result<(Metrics, Option<Last>)> {
+    fn finished_frames(&self, method: &mut dyn MotionMethod) -> Result<(Metrics, Option<Last>)> {
         let finished = |frame: &usize| self.request.resume && self.folder.state(*frame).exists();
         let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
         let records = frames.iter().map(|&frame| read_json(&self.folder.record(frame)));
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
         let load = |&frame: &usize| -> Result<Last> {
             let scene = state::load(&self.folder.state(frame))?;
-            Ok(Last { scene, views: load_training(&self.capture, &self.views, frame)? })
+            let saved = self.folder.method_state(frame);
+            let saved = if saved.exists() { std::fs::read(&saved)? } else { Vec::new() };
+            method.restore(&saved, &scene).with_context(|| self.named("state"))?;
+            Ok(Last { scene, views: load_training(&*self.capture, &self.views, frame)? })
         };
         Ok((metrics, frames.last().map(load).transpose()?))
     }
@@ -147,6 +170,7 @@ impl<'a> Job<'a> {
         &self,
         metrics: &mut Metrics,
         last: &mut Option<Last>,
+        method: &mut dyn MotionMethod,
         console: &mut Console,
     ) -> Result<()> {
         let mut static_lane = StaticLane::default();
@@ -154,8 +178,8 @@ impl<'a> Job<'a> {
         for frame in self.frames.clone().skip(metrics.frames.len()) {
             console.begin_frame(frame);
             let (next, record) = match last.take() {
-                None => self.first_frame(frame, console)?,
-                Some(previous) => self.next_frame(frame, previous, &mut static_lane, console)?,
+                None => self.first_frame(frame, method, console)?,
+                Some(previous) => self.next_frame(frame, previous, method, &mut static_lane, console)?,
             };
             console.end_frame(&record);
             metrics.push(record);
@@ -170,35 +194,41 @@ impl<'a> Job<'a> {
     }
 
     /// Frame 0: all layers together, then the split.
-    fn first_frame(&self, frame: usize, console: &mut Console) -> Result<(Last, FrameRecord)> {
+    fn first_frame(
+        &self,
+        frame: usize,
+        method: &mut dyn MotionMethod,
+        console: &mut Console,
+    ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let mut views = load_training(&self.capture, &self.views, frame)?;
+        let mut views = load_training(&*self.capture, &self.views, frame)?;
         let scene = if let Some(run) = &self.request.first_frame {
             state::load(&RunFolder(run.clone()).state(frame))
                 .context("--first-frame: not a run of this capture")?
         } else {
             let count = views.len();
             if frame == 0 {
-                for v in 0..self.capture.views(Split::Init).len() {
-                    views.push(load_view(&self.capture, Split::Init, v, 0)?);
+                for view in 0..self.capture.views(Split::Init).len() {
+                    views.push(load_view(&*self.capture, ViewAt { split: Split::Init, view, frame })?);
                 }
             }
-            record.seconds.load = Some(start.elapsed().as_secs_f64());
+            record.log.since("load", start);
             let trained = self.train_all(&views, console)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
             let scene = self.split(&trained.gaussians, sky, &views[..count], &views)?;
             views.truncate(count);
             scene
         };
-        record.seconds.wall = Some(start.elapsed().as_secs_f64());
-        let truths = load_tests(&self.capture, frame)?;
-        let record = self.finish(frame, &scene, &truths, FramePictures::default(), record)?;
+        method.begin(&scene).with_context(|| self.named("first frame"))?;
+        record.log.since("wall", start);
+        let truths = load_tests(&*self.capture, frame)?;
+        let record = self.finish(frame, &scene, &truths, method, FramePictures::default(), record)?;
         Ok((Last { scene, views }, record))
     }
 
     fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
-        let points = self.capture.initial_points()?;
+        let points = self.capture.points()?.context("the capture has no initial points")?;
         let degree = self.config().first_frame.sh_degree;
         let initial = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
         let initial = initial.select(&spatial_order(&initial.means));
@@ -228,7 +258,7 @@ impl<'a> Job<'a> {
         if gaussians.is_empty() {
             tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");
         }
-        let pixel_m = pixel_sizes(&gaussians.positions(), views);
+        let pixel_m = pixel_sizes(&gaussians.positions(), views.iter().map(|view| &view.camera));
         let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
         let axes = gaussians.log_scales.iter().map(smallest);
         let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
@@ -242,39 +272,37 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         last: Last,
+        method: &mut dyn MotionMethod,
         static_lane: &mut StaticLane,
         console: &Console,
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let Last { mut scene, views: before } = last;
-        let now = load_training(&self.capture, &self.views, frame)?;
-        let loading = start.elapsed().as_secs_f64();
-        let input = MotionInput {
-            config: self.config(),
-            init: &self.request.init,
-            tracks: self.tracks.as_ref(),
+        let now = load_training(&*self.capture, &self.views, frame)?;
+        let mut record = FrameRecord { frame, ..FrameRecord::default() };
+        let log = &mut record.log;
+        log.since("load", start);
+        let step = Step {
+            frame,
+            seed: self.config().seed,
+            capture: &*self.capture,
             views: &self.views,
             before: &before,
             now: &now,
-            frame,
-            static_layer: &scene.static_layer,
-            gpu: self.gpus.first(),
+            tracks: &self.tracks,
         };
-        let motion = initialise(&input, &mut scene.dynamic)?;
-        drop(before);
-        let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        record.seconds = motion.seconds;
-        record.seconds.load = Some(loading + motion.seconds.load.unwrap_or(0.0));
-        record.skips.clone_from(&motion.skips);
-        record.warnings.clone_from(&motion.warnings);
+        method.predict(&step, &mut scene, log).with_context(|| self.named("prediction"))?;
         let measuring = Instant::now();
-        let pictures = self.motion_pictures(frame, &scene.dynamic, &motion, &now)?;
-        let truths = load_tests(&self.capture, frame)?;
+        let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
+        let truths = load_tests(&*self.capture, frame)?;
         record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.lanes())?;
         let measuring = measuring.elapsed().as_secs_f64();
-        self.finetune(frame, &mut scene, static_lane, &now, console, &mut record)?;
-        record.seconds.wall = Some(start.elapsed().as_secs_f64() - measuring);
-        let record = self.finish(frame, &scene, &truths, pictures, record)?;
+        match method.finetune(&step, &mut scene, log).with_context(|| self.named("finetuning"))? {
+            Finetuning::ByLanes => self.finetune(frame, &mut scene, static_lane, &now, console, log)?,
+            Finetuning::Done => {}
+        }
+        log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
+        let record = self.finish(frame, &scene, &truths, method, pictures, record)?;
         Ok((Last { scene, views: now }, record))
     }
 
@@ -286,7 +314,7 @@ impl<'a> Job<'a> {
         static_lane: &mut StaticLane,
         views: &[TrainingView],
         console: &Console,
-        record: &mut FrameRecord,
+        log: &mut StageLog,
     ) -> Result<()> {
         let (config, lanes) = (self.config(), self.lanes());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
@@ -316,9 +344,9 @@ impl<'a> Job<'a> {
             },
             || timed(&mut || lanes.sky(background, views, &static_start, sky, seed)),
         );
-        record.seconds.dynamic = Some(dynamic_s?);
-        record.seconds.static_lane = Some(static_s?);
-        record.seconds.sky = Some(sky_s?);
+        log.add_seconds("dynamic", dynamic_s?);
+        log.add_seconds("static", static_s?);
+        log.add_seconds("sky", sky_s?);
         Ok(())
     }
 
@@ -327,7 +355,6 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         dynamic: &Dynamic,
-        motion: &MotionOutcome,
         views: &[TrainingView],
     ) -> Result<FramePictures> {
         let Some(best) = views.iter().max_by_key(|v| v.mask.count()).filter(|v| v.mask.count() > 0) else {
@@ -335,12 +362,16 @@ impl<'a> Job<'a> {
         };
         let (camera, image): (_, &ImageRgb8) = (&best.camera, &best.image);
         let now = dynamic.gaussians.positions();
-        let thumbnails = thumbnails(&self.capture);
+        let before = match dynamic.known_steps() {
+            Some(steps) => now.iter().zip(steps).map(|(now, step)| *now - *step).collect(),
+            None => now.clone(),
+        };
+        let thumbnails = thumbnails(&*self.capture);
         let save = |name: &str, picture: &ImageRgb8| -> Result<Option<String>> {
             write_png(&self.folder.frame(frame).join(name), picture)?;
             Ok(Some(thumbnails.encode(picture)?))
         };
-        let motion = save("motion.png", &motion_picture(camera, &motion.previous, &now, image)?)?;
+        let motion = save("motion.png", &motion_picture(camera, &before, &now, image)?)?;
         let uncertainty = uncertainty_picture(camera, &now, &dynamic.covariances, image)?;
         let uncertainty = save("uncertainty.png", &uncertainty)?;
         Ok(FramePictures { motion, uncertainty, ..FramePictures::default() })
@@ -352,6 +383,7 @@ impl<'a> Job<'a> {
         frame: usize,
         scene: &Scene,
         truths: &[TrainingView],
+        method: &dyn MotionMethod,
         mut pictures: FramePictures,
         mut record: FrameRecord,
     ) -> Result<FrameRecord> {
@@ -362,14 +394,24 @@ impl<'a> Job<'a> {
         ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }))?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
-        (record.views, pictures.views) = score(&self.capture, scene, truths, &folder, self.lanes())?;
+        (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.lanes())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
         record.peak_memory_mib = crate::memory::peak_mib();
-        record.bytes = size(&static_ply) + size(&dynamic_ply) + size(&folder.join("sky.png"));
+        let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
+        record.bytes = stored.iter().map(size).sum::<u64>()
+            + size(&static_ply)
+            + size(&dynamic_ply)
+            + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
+        let saved = method.save();
+        if !saved.is_empty() {
+            let file = self.folder.method_state(frame);
+            write_atomically(&file, |out| out.write_all(&saved))
+                .with_context(|| format!("cannot write {}", file.display()))?;
+        }
         state::save(&self.folder.state(frame), frame, scene)?;
         forget_motion_accuracy(&self.folder)?;
         Ok(record)
@@ -394,16 +436,6 @@ fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
         std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
     }
     Ok(())
-}
-
-fn require_tracker(init: &Init, tracks: Option<&TrackStore>) -> Result<()> {
-    let Init::Tracker(name) = init else { return Ok(()) };
-    let known: Vec<&str> =
-        tracks.map(|t| t.trackers().iter().map(|k| k.name.as_str()).collect()).unwrap_or_default();
-    if known.contains(&name.as_str()) {
-        return Ok(());
-    }
-    bail!("--init tracker:{name}: tracks/tracks.json names {known:?}")
 }
 
 /// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
@@ -446,7 +478,7 @@ mod tests {
             capture: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini"),
             out: out.to_owned(),
             resume,
-            init: Init::Fused,
+            method: MethodChoice::default(),
             frames: Some(FrameRange { start: 0, end: Some(frames) }),
             train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
             first_frame: None,

@@ -4,7 +4,7 @@ use crate::lanes::Lanes;
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
-use ffgs_dataset::{Capture, Split};
+use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
 use ffgs_report::Thumbnails;
 use rayon::prelude::*;
@@ -34,14 +34,14 @@ pub fn write_png(path: &Path, picture: &ImageRgb8) -> Result<()> {
 }
 
 /// Whether a test camera keeps its pose over the capture.
-fn is_fixed(capture: &Capture, view: usize) -> bool {
-    let first = capture.camera(Split::Test, view, 0).ok();
-    (1..capture.frames_of(Split::Test)).all(|t| capture.camera(Split::Test, view, t).ok() == first)
+fn is_fixed(capture: &dyn Capture, view: usize) -> bool {
+    let camera = |frame| capture.camera(ViewAt { split: Split::Test, view, frame }).ok();
+    (1..capture.frames_of(Split::Test)).all(|frame| camera(frame) == camera(0))
 }
 
 /// The test views of a frame.
-pub(crate) fn load_tests(capture: &Capture, frame: usize) -> Result<Vec<TrainingView>> {
-    let load = |v: usize| crate::frame::load_view(capture, Split::Test, v, frame);
+pub(crate) fn load_tests(capture: &dyn Capture, frame: usize) -> Result<Vec<TrainingView>> {
+    let load = |view| crate::frame::load_view(capture, ViewAt { split: Split::Test, view, frame });
     (0..capture.views(Split::Test).len()).map(load).collect()
 }
 
@@ -59,7 +59,7 @@ pub(crate) fn mean_mpsnr(scene: &Scene, truths: &[TrainingView], lanes: Lanes) -
 /// Renders the test views `truths` into `folder/test/CAMERA.png` and measures them. Returns the metrics and, for the
 /// report, ground truth, render and error of each view.
 pub(crate) fn score(
-    capture: &Capture,
+    capture: &dyn Capture,
     scene: &Scene,
     truths: &[TrainingView],
     folder: &Path,
@@ -69,7 +69,7 @@ pub(crate) fn score(
     let rendered = render(scene, &cameras, lanes)?;
     let thumbnails = thumbnails(capture);
     let score = |(v, (truth, rendered)): (usize, (&TrainingView, PlanarImage))| {
-        let name = &capture.views(Split::Test)[v].name;
+        let name = &capture.views(Split::Test)[v];
         let picture = ImageRgb8::from(&rendered);
         write_png(&folder.join(format!("test/{name}.png")), &picture)?;
         let metrics = ViewMetrics {
@@ -87,6 +87,6 @@ pub(crate) fn score(
 }
 
 /// Sized for a run over the whole capture, whichever frames were asked for: resuming with more of them keeps the size.
-pub(crate) fn thumbnails(capture: &Capture) -> Thumbnails {
+pub(crate) fn thumbnails(capture: &dyn Capture) -> Thumbnails {
     Thumbnails::for_run(capture.frames(), capture.views(Split::Test).len())
 }

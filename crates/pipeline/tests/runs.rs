@@ -1,8 +1,9 @@
 //! What a run says of its motion initialisation, on two frames of the sample with next to no training.
 
-use ffgs_pipeline::cli::{FrameRange, Init};
+use ffgs_pipeline::cli::FrameRange;
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
+use ffgs_pipeline::method::MethodChoice;
 use ffgs_pipeline::record::{FrameRecord, Metrics, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;
@@ -26,7 +27,7 @@ fn request(out: &Path, steps: usize) -> RunRequest {
         capture: sample(),
         out: out.to_owned(),
         resume: false,
-        init: Init::Fused,
+        method: MethodChoice::default(),
         frames: Some(FrameRange { start: 0, end: Some(2) }),
         train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
         first_frame: None,

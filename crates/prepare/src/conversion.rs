@@ -3,7 +3,7 @@
 use crate::PrepareError;
 use crate::camera_lists::write_json;
 use ffgs_core::{Camera, write_atomically};
-use ffgs_dataset::{Capture, PointCloud, Split};
+use ffgs_dataset::{Capture, Points, Split};
 use glam::{DMat4, DQuat};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -95,7 +95,7 @@ fn transforms(shots: &[Shot]) -> Value {
     json!({"camera_model": "PINHOLE", "frames": frames, "train_filenames": names(false), "test_filenames": names(true)})
 }
 
-fn write_model(shots: &[Shot], points: &PointCloud, folder: &Path) -> Result<(), PrepareError> {
+fn write_model(shots: &[Shot], points: &Points, folder: &Path) -> Result<(), PrepareError> {
     let (mut cameras, mut images, mut cloud) = (String::new(), String::new(), String::new());
     for (i, s) in shots.iter().enumerate() {
         let (k, size, id) = (s.camera.intrinsics(), s.camera.size(), i + 1);

@@ -1,9 +1,9 @@
 //! Writes a report of made-up data: `cargo run -p ffgs-report --example demo -- OUT.html`.
 
-use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
+use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Seconds};
 use ffgs_report::{
-    Fact, FramePictures, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, Thumbnails,
-    ViewReport, motion_picture, uncertainty_picture, write_report,
+    Fact, FramePictures, FrameReport, MotionAccuracy, ReportInput, SkipCount, Thumbnails, ViewReport,
+    motion_picture, uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
 use std::error::Error;
@@ -74,20 +74,21 @@ fn motion(name: &str, centimetres: f64, honesty: f64) -> MotionAccuracy {
     }
 }
 
-fn seconds(i: f64) -> StageSeconds {
-    StageSeconds {
-        load: Some(0.08),
-        voronoi: Some(0.31 + 0.01 * i),
-        agreement: Some(0.02),
-        association: Some(0.12),
-        triangulation: Some(0.05),
-        fusion: Some(0.01),
-        validation: Some(0.004),
-        dynamic: Some(6.2 + 0.2 * i),
-        static_lane: Some(9.4),
-        sky: Some(1.3),
-        wall: Some(12.2 + 0.2 * i),
-    }
+fn seconds(i: f64) -> Seconds {
+    let stages = [
+        ("load", 0.08),
+        ("voronoi", 0.31 + 0.01 * i),
+        ("agreement", 0.02),
+        ("association", 0.12),
+        ("triangulation", 0.05),
+        ("fusion", 0.01),
+        ("validation", 0.004),
+        ("dynamic", 6.2 + 0.2 * i),
+        ("static", 9.4),
+        ("sky", 1.3),
+        ("wall", 12.2 + 0.2 * i),
+    ];
+    stages.map(|(stage, seconds)| (stage.to_owned(), seconds)).into()
 }
 
 fn scene(ball: f64, noise: f64) -> ImageRgb8 {

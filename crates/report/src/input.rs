@@ -1,3 +1,4 @@
+use ffgs_core::Seconds;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -75,8 +76,8 @@ pub struct FrameReport {
     pub dynamic_gaussians: usize,
     /// Bytes on disk.
     pub bytes: u64,
-    /// Seconds per stage.
-    pub seconds: StageSeconds,
+    /// Seconds per stage, without those that did not run.
+    pub seconds: Seconds,
     /// JSON file of the frame's [`crate::FramePictures`]; a frame without is shown without pictures.
     #[serde(skip_serializing)]
     pub pictures: Option<PathBuf>,
@@ -94,26 +95,4 @@ pub struct ViewReport {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
-}
-
-/// Seconds one frame spent in each stage; `None` where the stage did not run.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)] // Named as the stages of the paper's Algorithm 1 and its lanes.
-pub struct StageSeconds {
-    pub load: Option<f64>,
-    pub voronoi: Option<f64>,
-    pub agreement: Option<f64>,
-    pub association: Option<f64>,
-    pub triangulation: Option<f64>,
-    pub fusion: Option<f64>,
-    pub validation: Option<f64>,
-    /// The dynamic lane's finetuning.
-    pub dynamic: Option<f64>,
-    /// The static lane (`static` in JSON).
-    #[serde(rename = "static")]
-    pub static_lane: Option<f64>,
-    pub sky: Option<f64>,
-    /// Wall clock of the frame.
-    pub wall: Option<f64>,
 }

@@ -10,7 +10,7 @@ mod picture;
 mod plot;
 mod timing;
 
-pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, StageSeconds, ViewReport};
+pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
 pub use page::{ReportError, write_report};
 pub use picture::{FramePictures, Thumbnails, error_map};

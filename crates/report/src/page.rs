@@ -118,7 +118,7 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
         ("PSNR", text(metric(|v| v.psnr), 2), "dB"),
         ("MPSNR (foreground)", text(metric(|v| v.mpsnr), 2), "dB"),
         ("SSIM", text(metric(|v| v.ssim), 4), ""),
-        ("Time per frame", text(over(&|f| f.seconds.wall), 2), "s"),
+        ("Time per frame", text(over(&|f| f.seconds.get("wall").copied()), 2), "s"),
         ("Gaussians", text(gaussians, 1), "thousand"),
         ("On disk per frame", text(megabytes, 2), "MB"),
     ];

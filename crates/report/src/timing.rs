@@ -1,11 +1,12 @@
 //! The paper's timing table.
 
-use crate::{FrameReport, StageSeconds};
+use crate::FrameReport;
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 #[derive(Debug, Serialize)]
 pub struct Row {
-    pub label: &'static str,
+    pub label: String,
     pub lane: &'static str,
     pub mean: String,
     pub range: String,
@@ -15,70 +16,86 @@ pub struct Row {
     pub is_total: bool,
 }
 
+/// A row that the paper has, and the stages that it sums.
 struct Stage {
     label: &'static str,
     lane: &'static str,
     paper: &'static str,
     is_total: bool,
-    seconds: fn(&StageSeconds) -> Option<f64>,
+    names: &'static [&'static str],
 }
 
-const fn stage(
-    label: &'static str,
-    lane: &'static str,
-    paper: &'static str,
-    seconds: fn(&StageSeconds) -> Option<f64>,
-) -> Stage {
-    Stage { label, lane, paper, is_total: false, seconds }
+const fn stage(label: &'static str, paper: &'static str, names: &'static [&'static str]) -> Stage {
+    Stage { label, lane: "dynamic", paper, is_total: false, names }
 }
 
 const fn total(
     label: &'static str,
     lane: &'static str,
     paper: &'static str,
-    seconds: fn(&StageSeconds) -> Option<f64>,
+    names: &'static [&'static str],
 ) -> Stage {
-    Stage { label, lane, paper, is_total: true, seconds }
+    Stage { label, lane, paper, is_total: true, names }
 }
+
+/// The stages of the dynamic lane.
+const DYNAMIC: [&str; 8] =
+    ["load", "voronoi", "agreement", "association", "triangulation", "fusion", "validation", "dynamic"];
 
 /// Seconds of the paper: its table for Monaco4D, one GPU per lane.
 const STAGES: [Stage; 12] = [
-    stage("Load", "dynamic", "< 0.1", |s| s.load),
-    stage("Voronoi densification", "dynamic", "0.5", |s| s.voronoi),
-    stage("Agreement", "dynamic", "< 0.1", |s| s.agreement),
-    stage("Association", "dynamic", "–", |s| s.association),
-    stage("Triangulation", "dynamic", "0.2", |s| s.triangulation),
-    stage("Fusion", "dynamic", "0.15", |s| s.fusion),
-    stage("Validation", "dynamic", "–", |s| s.validation),
-    stage("Finetuning", "dynamic", "~ 9.5", |s| s.dynamic),
-    total("Dynamic lane", "dynamic", "~ 10.5", dynamic_total),
-    total("Static lane (SH only)", "static", "~ 25", |s| s.static_lane),
-    total("Sky lane", "sky", "~ 1", |s| s.sky),
-    total("Wall clock", "all", "~ 25", |s| s.wall),
+    stage("Load", "< 0.1", &["load"]),
+    stage("Voronoi densification", "0.5", &["voronoi"]),
+    stage("Agreement", "< 0.1", &["agreement"]),
+    stage("Association", "–", &["association"]),
+    stage("Triangulation", "0.2", &["triangulation"]),
+    stage("Fusion", "0.15", &["fusion"]),
+    stage("Validation", "–", &["validation"]),
+    stage("Finetuning", "~ 9.5", &["dynamic"]),
+    total("Dynamic lane", "dynamic", "~ 10.5", &DYNAMIC),
+    total("Static lane (SH only)", "static", "~ 25", &["static"]),
+    total("Sky lane", "sky", "~ 1", &["sky"]),
+    total("Wall clock", "all", "~ 25", &["wall"]),
 ];
 
-fn dynamic_total(s: &StageSeconds) -> Option<f64> {
-    let stages =
-        [s.load, s.voronoi, s.agreement, s.association, s.triangulation, s.fusion, s.validation, s.dynamic];
-    stages.into_iter().flatten().reduce(|a, b| a + b)
+/// Seconds of each frame in these stages, for frames that have any.
+fn column(frames: &[FrameReport], names: &[&str]) -> Vec<f64> {
+    let of =
+        |f: &FrameReport| names.iter().filter_map(|name| f.seconds.get(*name).copied()).reduce(|a, b| a + b);
+    frames.iter().filter_map(of).collect()
 }
 
-/// One row per stage: mean over the frames after the first (which is trained from scratch), least and most.
+/// One row per stage: mean over the frames after the first (which is trained from scratch), least and most. Stages that
+/// the paper does not have follow by name.
 pub fn rows(frames: &[FrameReport]) -> Vec<Row> {
     let later = frames.get(1..).filter(|f| !f.is_empty()).unwrap_or(frames);
-    let columns = STAGES.map(|stage| later.iter().filter_map(|f| (stage.seconds)(&f.seconds)).collect());
-    let means = columns.each_ref().map(|column: &Vec<f64>| mean(column));
-    let longest = means.iter().flatten().copied().fold(1e-9, f64::max);
-    let row = |((stage, column), mean): ((&Stage, &Vec<f64>), &Option<f64>)| Row {
-        label: stage.label,
+    let known = |name: &&str| STAGES.iter().any(|stage| stage.names.contains(name));
+    let others: BTreeSet<&str> = later.iter().flat_map(|f| f.seconds.keys().map(String::as_str)).collect();
+    let others = others.into_iter().filter(|name| !known(name));
+    let mut rows: Vec<Row> = STAGES.iter().map(|stage| row(stage, &column(later, stage.names))).collect();
+    rows.extend(others.map(|name| own_row(name, &column(later, &[name]))));
+    let longest = rows.iter().map(|row| row.bar).fold(1e-9, f64::max);
+    rows.iter_mut().for_each(|row| row.bar *= 100.0 / longest);
+    rows
+}
+
+/// The bar is as long as the mean (s).
+fn row(stage: &Stage, column: &[f64]) -> Row {
+    let mean = mean(column);
+    Row {
+        label: stage.label.to_owned(),
         lane: stage.lane,
         mean: mean.map_or_else(|| "–".to_owned(), seconds_text),
         range: range_text(column),
         paper: stage.paper,
-        bar: mean.map_or(0.0, |m| 100.0 * m / longest),
+        bar: mean.unwrap_or(0.0),
         is_total: stage.is_total,
-    };
-    STAGES.iter().zip(&columns).zip(&means).map(row).collect()
+    }
+}
+
+/// A stage of the method's own.
+fn own_row(name: &str, column: &[f64]) -> Row {
+    Row { label: name.to_owned(), ..row(&stage("", "–", &[]), column) }
 }
 
 /// Mean of the values; `None` without any.

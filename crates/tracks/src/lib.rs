@@ -17,9 +17,11 @@ mod error;
 mod exr_flow;
 mod flo;
 mod index;
+mod source;
 mod store;
 
 pub use check::{TrackerSummary, TracksFault, TracksReport, check};
 pub use error::TracksError;
 pub use index::{PixelCenter, TrackFormat, Tracker};
+pub use source::sources;
 pub use store::{LoadStats, TrackStore};

@@ -1,11 +1,11 @@
-//! Lines 3 to 19 on a GPU: motion fields, agreement and association, view by view. CPU twin: [`super::observe`]. The fields
+//! Lines 3 to 19 on a GPU: motion fields, agreement and association, view by view. CPU twin: [`crate::observe`]. The fields
 //! stay on the device; tracks go there, and a Gaussian's sums come back.
 
-use super::fields::{load, selected_trackers};
-use super::observe::{rows, shapes};
-use super::{MotionInput, MotionOutcome, add_seconds};
+use crate::MotionInput;
+use crate::fields::{count, load};
+use crate::observe::{rows, shapes};
 use anyhow::Result;
-use ffgs_core::{Gaussians, Observations, ViewMotion};
+use ffgs_core::{Gaussians, Observations, StageLog, ViewMotion};
 use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::ViewFields;
 use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
@@ -13,37 +13,33 @@ use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes};
 use std::time::Instant;
 
 /// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
-pub(super) fn device<'a>(input: &MotionInput<'a>, outcome: &mut MotionOutcome) -> Option<&'a Gpu> {
+pub(crate) fn device<'a>(input: &MotionInput<'a>, log: &mut StageLog) -> Option<&'a Gpu> {
     if input.gpu.is_some() && input.config.association.contributors > 0 {
-        outcome
-            .warnings
-            .push("association.contributors: association and motion fields are left to the CPU".into());
+        log.warn("association.contributors: association and motion fields are left to the CPU");
         return None;
     }
-    let trackers = input.tracks.map_or(0, |store| store.trackers().len());
-    input.gpu.filter(|_| ffgs_motion_gpu::supports(&input.config.voronoi, trackers))
+    input.gpu.filter(|_| ffgs_motion_gpu::supports(&input.config.voronoi, input.trackers.len()))
 }
 
 /// What every tracker says of every Gaussian of `gaussians` in every view. The device works on while the host loads the
 /// next file: the time of association holds what the fields still cost.
-pub(super) fn observe(
+pub(crate) fn observe(
     gpu: &Gpu,
     input: &MotionInput,
     gaussians: &Gaussians,
-    outcome: &mut MotionOutcome,
+    log: &mut StageLog,
 ) -> Result<Vec<Observations>> {
-    let trackers = selected_trackers(input, outcome);
-    let unobserved = || Observations::unobserved(input.before.len(), gaussians.len());
-    let mut observations: Vec<_> = trackers.iter().map(|_| unobserved()).collect();
+    let unobserved = || Observations::unobserved(input.step.before.len(), gaussians.len());
+    let mut observations: Vec<_> = input.trackers.iter().map(|_| unobserved()).collect();
     let scene = GpuScene::upload(gpu, &shapes(gaussians, input.static_layer))?;
     let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
     let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
     for (v, mut rows) in rows(&mut observations).into_iter().enumerate() {
-        if input.before[v].mask.count() > 0 {
-            let fields = view_fields(gpu, input, &trackers, v, outcome)?;
+        if input.step.before[v].mask.count() > 0 {
+            let fields = view_fields(gpu, input, v, log)?;
             let start = Instant::now();
-            on_device.associate(input, v, &fields, outcome, &mut rows)?;
-            add_seconds(&mut outcome.seconds.association, start);
+            on_device.associate(input, v, &fields, &mut rows)?;
+            log.since("association", start);
         }
     }
     gpu.release_unused();
@@ -63,19 +59,18 @@ impl OnDevice<'_> {
         input: &MotionInput,
         v: usize,
         fields: &ViewFields,
-        outcome: &MotionOutcome,
         rows: &mut [Observed],
     ) -> Result<()> {
-        let view = &input.before[v];
+        let view = &input.step.before[v];
         let planes = fields.planes(input.config.association.flow_floor_px)?;
         let finished = input.config.association.min_transmittance;
         let planes = Planes { values: &planes, count: fields.plane_count(), finished };
         let tiles = TileMask::covering(&view.mask);
         let frame =
             View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-        let sums = self.rasterizer.accumulate_planes(&self.scene, &frame, &planes, outcome.previous.len())?;
+        let sums = self.rasterizer.accumulate_planes(&self.scene, &frame, &planes, input.previous.len())?;
         let config = &input.config.association;
-        for (i, &mean) in outcome.previous.iter().enumerate() {
+        for (i, &mean) in input.previous.iter().enumerate() {
             let values = sums.of(i);
             if values[0] <= config.min_coverage || sums.hits(i) < config.min_hits {
                 continue;
@@ -95,47 +90,51 @@ impl OnDevice<'_> {
 fn view_fields<'a>(
     gpu: &'a Gpu,
     input: &MotionInput,
-    trackers: &[usize],
     v: usize,
-    outcome: &mut MotionOutcome,
+    log: &mut StageLog,
 ) -> Result<ViewFields<'a>> {
-    let mask = &input.before[v].mask;
+    let mask = &input.step.before[v].mask;
     let start = Instant::now();
-    let files = load(input, trackers, v)?;
-    add_seconds(&mut outcome.seconds.load, start);
+    let files = load(input, v)?;
+    log.since("load", start);
     let start = Instant::now();
-    let fields = ViewFields::new(gpu, mask, trackers.len())?;
+    let fields = ViewFields::new(gpu, mask, input.trackers.len())?;
     for (l, file) in files.into_iter().enumerate() {
-        match outcome.count(file) {
+        match count(log, file) {
             None => {}
             Some(ViewMotion::Dense(dense)) => fields.take(l, &dense)?,
             Some(ViewMotion::Tracks(set)) => fields.densify(l, &input.config.voronoi, &set, mask)?,
         }
     }
-    add_seconds(&mut outcome.seconds.voronoi, start);
+    log.since("voronoi", start);
     let start = Instant::now();
     fields.agree(&input.config.agreement)?;
-    add_seconds(&mut outcome.seconds.agreement, start);
+    log.since("agreement", start);
     Ok(fields)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::Init;
-    use crate::config::Config;
-    use crate::frame::{TrainViews, load_training};
-    use ffgs_dataset::Capture;
-    use ffgs_tracks::TrackStore;
+    use crate::MotionConfig;
+    use ffgs_core::TrainingView;
+    use ffgs_dataset::Dynamic3dGaussians;
+    use ffgs_method::{Capture, CaptureFormat, Split, Step, TrackSource, ViewAt};
     use std::path::Path;
 
     /// The initial points of the sample near its first car as Gaussians, and everything else as the static layer.
-    fn layers(capture: &Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Gaussians) {
-        let points = capture.initial_points().unwrap();
+    fn layers(capture: &dyn Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Gaussians) {
+        let points = capture.points().unwrap().unwrap();
         let all = ffgs_trainer::from_points(&points.positions, &points.colours, 0, 0.9);
         let places = all.positions();
         let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..all.len()).partition(|&i| inside(places[i]));
         (all.select(&moving), all.select(&fixed))
+    }
+
+    fn view(capture: &dyn Capture, view: usize, frame: usize) -> TrainingView {
+        let at = ViewAt { split: Split::Train, view, frame };
+        let mask = capture.mask(at).unwrap().unwrap();
+        TrainingView { camera: capture.camera(at).unwrap(), image: capture.image(at).unwrap(), mask }
     }
 
     /// Both paths on views of the sample: the same Gaussians are seen, and go to the same pixels.
@@ -143,39 +142,49 @@ mod tests {
     fn observations_agree_with_the_cpu_on_the_sample() {
         let Some(gpu) = Gpu::for_test() else { return };
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
-        let capture = Capture::open(&path).unwrap();
-        let store = TrackStore::open(&path).unwrap();
-        let names = ["trk000", "trk008"].map(str::to_owned);
-        let views = TrainViews::select(&capture, Some(&names)).unwrap();
-        let before = load_training(&capture, &views, 0).unwrap();
-        let config = Config::default();
+        let capture = Dynamic3dGaussians.open(&path).unwrap();
+        let tracks = ffgs_tracks::sources(&path).unwrap();
+        let names = capture.views(Split::Train);
+        let views: Vec<usize> =
+            (0..names.len()).filter(|&v| ["trk000", "trk008"].contains(&&*names[v])).collect();
+        let now: Vec<TrainingView> = views.iter().map(|&v| view(&*capture, v, 0)).collect();
+        let config = MotionConfig::default();
         let seen = |p: glam::DVec3| {
-            before.iter().all(|v| v.camera.pixel_of(p).is_some_and(|(x, y)| v.mask.contains(x, y)))
+            now.iter().all(|v| v.camera.pixel_of(p).is_some_and(|(x, y)| v.mask.contains(x, y)))
         };
-        let (moving, fixed) = layers(&capture, seen);
+        let (moving, fixed) = layers(&*capture, seen);
+        let previous = moving.positions();
+        let step = Step {
+            frame: 1,
+            seed: 1,
+            capture: &*capture,
+            views: &views,
+            before: &now,
+            now: &now,
+            tracks: &tracks,
+        };
+        let trackers = || tracks.iter().map(AsRef::as_ref).collect::<Vec<&dyn TrackSource>>();
         let input = MotionInput {
             config: &config,
-            init: &Init::Fused,
-            tracks: store.as_ref(),
-            views: &views,
-            before: &before,
-            now: &before,
-            frame: 1,
+            step,
+            trackers: trackers(),
             static_layer: &fixed,
+            previous: &previous,
             gpu: Some(&gpu),
         };
         assert!(
-            device(&input, &mut MotionOutcome::default()).is_some() && moving.len() > 100,
+            device(&input, &mut StageLog::default()).is_some() && moving.len() > 100,
             "{} Gaussians",
             moving.len()
         );
         let mut limited = config;
         limited.association.contributors = 16;
-        let (limited, mut warned) = (MotionInput { config: &limited, ..input }, MotionOutcome::default());
+        let (limited, mut warned) =
+            (MotionInput { config: &limited, trackers: trackers(), ..input }, StageLog::default());
         assert!(device(&limited, &mut warned).is_none() && warned.warnings.len() == 1);
-        let outcome = || MotionOutcome { previous: moving.positions(), ..MotionOutcome::default() };
-        let expected = super::super::observe(&input, &moving, &mut outcome(), &mut |_, _| {}).unwrap();
-        let found = observe(&gpu, &input, &moving, &mut outcome()).unwrap();
+        let mut log = StageLog::default();
+        let expected = crate::observe(&input, &moving, &mut log, &mut |_, _| {}).unwrap();
+        let found = observe(&gpu, &input, &moving, &mut log).unwrap();
         assert_eq!(found.len(), expected.len());
         for (l, (found, expected)) in found.iter().zip(&expected).enumerate() {
             let seen = |o: &Observations| o.weights.iter().filter(|w| **w > 0.0).count();

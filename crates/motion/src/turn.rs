@@ -1,6 +1,6 @@
 //! Turns splats, and the directions of their colour, with the body that they sit on.
 
-use crate::config::Rotate;
+use crate::Rotate;
 use ffgs_core::Gaussians;
 use glam::{DQuat, DVec3};
 use nalgebra::{SMatrix, SVector};

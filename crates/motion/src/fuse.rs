@@ -1,17 +1,17 @@
 //! Lines 25 to 34.
 
-use super::{MotionInput, MotionOutcome, add_seconds};
+use crate::MotionInput;
 use crate::turn::turn;
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Estimates, TrainingView};
+use ffgs_core::{Camera, Dynamic, Estimates, StageLog};
 use ffgs_fusion::{Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;
 
 /// Size of a pixel at each Gaussian (m): z / f in the nearest camera that sees it.
-pub fn pixel_sizes(means: &[DVec3], views: &[TrainingView]) -> Vec<f64> {
-    let views: Vec<Lens> = views.iter().map(|view| Lens::new(&view.camera)).collect();
+pub fn pixel_sizes<'a>(means: &[DVec3], cameras: impl IntoIterator<Item = &'a Camera>) -> Vec<f64> {
+    let views: Vec<Lens> = cameras.into_iter().map(Lens::new).collect();
     let size = |mean: &DVec3| views.iter().fold(f64::INFINITY, |least, view| view.nearer(*mean, least));
     let sizes: Vec<f64> = means.par_iter().map(size).collect();
     let mut seen: Vec<f64> = sizes.iter().copied().filter(|s| s.is_finite()).collect();
@@ -51,18 +51,18 @@ pub fn fuse(
     input: &MotionInput,
     estimates: &[Estimates],
     dynamic: &Dynamic,
-    outcome: &mut MotionOutcome,
+    log: &mut StageLog,
 ) -> Result<Fused> {
     let start = Instant::now();
-    let mut pixel_m = pixel_sizes(&outcome.previous, input.before);
+    let mut pixel_m = pixel_sizes(input.previous, input.step.before.iter().map(|view| &view.camera));
     let fuser = InformationFuser { config: input.config.fusion };
     let objects = match input.config.fusion.q_mode {
         ProcessNoise::Global => None,
-        ProcessNoise::PerObject => Some(spatial_objects(&outcome.previous, &input.config.fusion.groups)),
+        ProcessNoise::PerObject => Some(spatial_objects(input.previous, &input.config.fusion.groups)),
     };
-    let standing = vec![DVec3::ZERO; outcome.previous.len()];
+    let standing = vec![DVec3::ZERO; input.previous.len()];
     let fused = fuser.fuse(&FusionInput {
-        prior_means: &outcome.previous,
+        prior_means: input.previous,
         prior_covariances: &dynamic.covariances,
         estimates,
         previous_steps: Some(dynamic.known_steps().unwrap_or(&standing)),
@@ -70,21 +70,21 @@ pub fn fuse(
         last_q: dynamic.q,
         q_floor_m: 0.25 * typical_size(&mut pixel_m),
     })?;
-    add_seconds(&mut outcome.seconds.fusion, start);
+    log.since("fusion", start);
     Ok(fused)
 }
 
 /// Moves the layer to its posterior.
-pub fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, outcome: &mut MotionOutcome) {
+pub fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, log: &mut StageLog) {
     let start = Instant::now();
     let g = &mut dynamic.gaussians;
     g.means.iter_mut().zip(&fused.means).for_each(|(place, mean)| *place = mean.as_vec3().to_array());
     turn(g, &fused.rotations, input.config.association.rotate);
-    dynamic.steps = fused.means.iter().zip(&outcome.previous).map(|(now, before)| *now - *before).collect();
+    dynamic.steps = fused.means.iter().zip(input.previous).map(|(now, before)| *now - *before).collect();
     let left = fused.group_of.iter().filter(|g| g.is_none()).count();
-    outcome.skip("Gaussians that follow their neighbours rather than a rigid group".into(), left);
-    outcome.skip("Gaussians that no tracker measured".into(), fused.measured.iter().filter(|m| !**m).count());
+    log.skip("Gaussians that follow their neighbours rather than a rigid group", left);
+    log.skip("Gaussians that no tracker measured", fused.measured.iter().filter(|m| !**m).count());
     dynamic.covariances = fused.covariances;
     dynamic.q = fused.q;
-    add_seconds(&mut outcome.seconds.fusion, start);
+    log.since("fusion", start);
 }

@@ -1,9 +1,9 @@
 //! Lines 3 to 19: what the trackers say of every Gaussian.
 
-use super::fields::{agree, densify_tracks, load, selected_trackers};
-use super::{MotionInput, MotionOutcome, add_seconds};
+use crate::MotionInput;
+use crate::fields::{agree, count, densify_tracks, load};
 use anyhow::Result;
-use ffgs_core::{DenseMotion, Gaussians, Observations, TrainingView};
+use ffgs_core::{DenseMotion, Gaussians, Observations, StageLog, TrainingView};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -17,30 +17,29 @@ const FIELD_BYTES: usize = 1 << 30;
 pub fn observe(
     input: &MotionInput,
     gaussians: &Gaussians,
-    outcome: &mut MotionOutcome,
+    log: &mut StageLog,
     inspect: &mut dyn FnMut(usize, &[DenseMotion]),
 ) -> Result<Vec<Observations>> {
-    let trackers = selected_trackers(input, outcome);
-    let unobserved = || Observations::unobserved(input.before.len(), gaussians.len());
-    let mut observations: Vec<_> = trackers.iter().map(|_| unobserved()).collect();
+    let unobserved = || Observations::unobserved(input.step.before.len(), gaussians.len());
+    let mut observations: Vec<_> = input.trackers.iter().map(|_| unobserved()).collect();
     let mut rows = rows(&mut observations);
     let joint = shapes(gaussians, input.static_layer);
-    let previous = outcome.previous.clone();
-    let scene = AssociationScene::new(&joint, &previous);
+    let scene = AssociationScene::new(&joint, input.previous);
     let scratch = Mutex::new(Vec::new());
-    let views: Vec<usize> = (0..input.before.len()).filter(|&v| input.before[v].mask.count() > 0).collect();
-    for group in views.chunks(views_at_once(input, trackers.len())) {
-        let fields = motion_fields(input, &trackers, group, outcome)?;
+    let views: Vec<usize> =
+        (0..input.step.before.len()).filter(|&v| input.step.before[v].mask.count() > 0).collect();
+    for group in views.chunks(views_at_once(input)) {
+        let fields = motion_fields(input, group, log)?;
         group.iter().zip(&fields).for_each(|(&v, fields)| inspect(v, fields));
         let start = Instant::now();
         let rows: Vec<Vec<Observed>> = group.iter().map(|&v| std::mem::take(&mut rows[v])).collect();
         group.par_iter().zip(&fields).zip(rows).for_each(|((&v, fields), mut rows)| {
             with_scratch(&scratch, |scratch| {
-                let association = association(input, &input.before[v], fields);
+                let association = association(input, &input.step.before[v], fields);
                 association.observe(&scene, &mut rows, scratch);
             });
         });
-        add_seconds(&mut outcome.seconds.association, start);
+        log.since("association", start);
     }
     Ok(observations)
 }
@@ -64,7 +63,7 @@ fn association<'a>(
 }
 
 /// Both layers without their colours, the moving one first.
-pub(super) fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
+pub(crate) fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
     let mut joint = Gaussians::empty(0);
     for layer in [moving, fixed] {
         joint.means.extend_from_slice(&layer.means);
@@ -77,7 +76,7 @@ pub(super) fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
 }
 
 /// (V) of (L): where each view writes.
-pub(super) fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> {
+pub(crate) fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> {
     let views = observations.first().map_or(0, |o| o.views);
     let mut rows: Vec<Vec<Observed>> = (0..views).map(|_| Vec::new()).collect();
     for observation in observations {
@@ -90,33 +89,28 @@ pub(super) fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> 
     rows
 }
 
-fn views_at_once(input: &MotionInput, trackers: usize) -> usize {
-    let pixels = input.before.iter().map(|v| v.mask.size().pixels()).max().unwrap_or(1);
-    let bytes = pixels * trackers.max(1) * size_of::<[f32; 4]>();
+fn views_at_once(input: &MotionInput) -> usize {
+    let pixels = input.step.before.iter().map(|v| v.mask.size().pixels()).max().unwrap_or(1);
+    let bytes = pixels * input.trackers.len().max(1) * size_of::<[f32; 4]>();
     (FIELD_BYTES / bytes).max(1)
 }
 
 /// Fields of each view of a group, a tracker each; one step after the other for all of them, so that the times add up.
-fn motion_fields(
-    input: &MotionInput,
-    trackers: &[usize],
-    group: &[usize],
-    outcome: &mut MotionOutcome,
-) -> Result<Vec<Vec<DenseMotion>>> {
+fn motion_fields(input: &MotionInput, group: &[usize], log: &mut StageLog) -> Result<Vec<Vec<DenseMotion>>> {
     let start = Instant::now();
-    let loaded: Vec<_> = group.par_iter().map(|&v| load(input, trackers, v)).collect::<Result<_>>()?;
-    add_seconds(&mut outcome.seconds.load, start);
+    let loaded: Vec<_> = group.par_iter().map(|&v| load(input, v)).collect::<Result<_>>()?;
+    log.since("load", start);
     let start = Instant::now();
-    let motions = loaded.into_iter().map(|view| view.into_iter().map(|file| outcome.count(file)).collect());
+    let motions = loaded.into_iter().map(|view| view.into_iter().map(|loaded| count(log, loaded)).collect());
     let motions: Vec<Vec<_>> = motions.collect();
     let mut fields: Vec<Vec<DenseMotion>> = (group.par_iter().zip(motions))
-        .map(|(&v, motions)| densify_tracks(input, &input.before[v].mask, motions))
+        .map(|(&v, motions)| densify_tracks(input, &input.step.before[v].mask, motions))
         .collect::<Result<_>>()?;
-    add_seconds(&mut outcome.seconds.voronoi, start);
+    log.since("voronoi", start);
     let start = Instant::now();
     (group.par_iter().zip(&mut fields))
-        .try_for_each(|(&v, fields)| agree(input, &input.before[v].mask, fields))?;
-    add_seconds(&mut outcome.seconds.agreement, start);
+        .try_for_each(|(&v, fields)| agree(input, &input.step.before[v].mask, fields))?;
+    log.since("agreement", start);
     Ok(fields)
 }
 

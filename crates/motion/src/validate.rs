@@ -1,43 +1,42 @@
 //! Lines 35 to 40.
 
-use super::{MotionInput, MotionOutcome, add_seconds};
+use crate::MotionInput;
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Mask};
+use ffgs_core::{Camera, Dynamic, Mask, StageLog};
 use ffgs_fusion::{count_views, second_chance, validate};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;
 
 /// Lines 35 to 40: who left the masks gets one second chance beside its neighbours, then goes.
-pub(super) fn validate_positions(
+pub(crate) fn validate_positions(
     input: &MotionInput,
     dynamic: &mut Dynamic,
-    outcome: &mut MotionOutcome,
+    log: &mut StageLog,
 ) -> Result<()> {
     let start = Instant::now();
     let mut means = dynamic.gaussians.positions();
     let views = GrownMasks::new(input);
     let mut valid = views.valid(&means)?;
-    second_chance(&outcome.previous, &mut means, &valid)?;
+    second_chance(input.previous, &mut means, &valid)?;
     // Only those that moved are looked at again.
     let moved: Vec<usize> = (0..means.len()).filter(|&i| !valid[i]).collect();
     let again = views.valid(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
     moved.iter().zip(again).for_each(|(&i, now)| valid[i] = now);
     let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i]).collect();
     let lost = means.len() - kept.len();
-    outcome.skip("Gaussians removed: outside the masks".into(), lost);
+    log.skip("Gaussians removed: outside the masks", lost);
     if lost as f64 > input.config.marking.loss_warning * means.len() as f64 {
-        outcome.warnings.push(format!("{lost} of {} dynamic Gaussians left the masks", means.len()));
+        log.warn(format!("{lost} of {} dynamic Gaussians left the masks", means.len()));
     }
     for (target, mean) in dynamic.gaussians.means.iter_mut().zip(&means) {
         *target = mean.as_vec3().to_array();
     }
     dynamic.gaussians = dynamic.gaussians.select(&kept);
     dynamic.covariances = kept.iter().map(|&i| dynamic.covariances[i]).collect();
-    dynamic.steps = kept.iter().map(|&i| means[i] - outcome.previous[i]).collect();
+    dynamic.steps = kept.iter().map(|&i| means[i] - input.previous[i]).collect();
     dynamic.ids = kept.iter().map(|&i| dynamic.ids[i]).collect();
-    outcome.previous = kept.iter().map(|&i| outcome.previous[i]).collect();
-    add_seconds(&mut outcome.seconds.validation, start);
+    log.since("validation", start);
     Ok(())
 }
 
@@ -52,7 +51,7 @@ struct GrownMasks {
 impl GrownMasks {
     fn new(input: &MotionInput) -> Self {
         let marking = &input.config.marking;
-        let grown = input.now.par_iter().filter(|v| v.mask.count() > 0);
+        let grown = input.step.now.par_iter().filter(|v| v.mask.count() > 0);
         let (cameras, masks) = grown.map(|v| (v.camera, v.mask.dilated(marking.dilation))).unzip();
         Self { cameras, masks, slack: marking.slack }
     }

@@ -1,0 +1,86 @@
+//! The layout as a plug-in: what the contract asks of a capture.
+
+use crate::capture::meta_file;
+use crate::{Capture, DatasetError};
+use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_method::{self as method, CaptureFormat, Fault, Plugin, Points, Split, ViewAt};
+use std::path::{Path, PathBuf};
+
+/// Captures as Dynamic3DGaussians stores them.
+#[derive(Clone, Copy, Debug)]
+pub struct Dynamic3dGaussians;
+
+impl Plugin for Dynamic3dGaussians {
+    fn name(&self) -> &'static str {
+        "dynamic3dgs"
+    }
+
+    fn summary(&self) -> &'static str {
+        "Dynamic3DGaussians: train_meta.json, ims/, seg/, init_pt_cld.npz"
+    }
+}
+
+impl CaptureFormat for Dynamic3dGaussians {
+    fn detect(&self, folder: &Path) -> Option<String> {
+        let file = meta_file(Split::Train);
+        folder.join(file).is_file().then(|| file.to_owned())
+    }
+
+    fn open(&self, folder: &Path) -> Result<Box<dyn method::Capture>, Fault> {
+        let capture = Capture::open(folder).map_err(|error| error.in_capture(folder))?;
+        Ok(Box::new(capture))
+    }
+}
+
+impl method::Capture for Capture {
+    fn root(&self) -> &Path {
+        self.root()
+    }
+
+    fn frames(&self) -> usize {
+        self.frames()
+    }
+
+    fn views(&self, split: Split) -> &[String] {
+        self.names(split)
+    }
+
+    fn camera(&self, at: ViewAt) -> Result<Camera, Fault> {
+        self.camera(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+    }
+
+    fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault> {
+        self.load_image(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+    }
+
+    fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
+        self.image_path(at.split, at.view, at.frame).ok()
+    }
+
+    fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault> {
+        self.load_mask(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+    }
+
+    fn points(&self) -> Result<Option<Points>, Fault> {
+        if !self.points_path().exists() {
+            return Ok(None);
+        }
+        self.initial_points().map(Some).map_err(|error| error.in_capture(self.root()))
+    }
+}
+
+impl DatasetError {
+    /// This error with the file of the capture in `root` that it is about.
+    pub fn in_capture(&self, root: &Path) -> Fault {
+        let file = match self {
+            Self::Io { file, .. }
+            | Self::Meta { file, .. }
+            | Self::Camera { file, .. }
+            | Self::Image { file, .. }
+            | Self::ImageSize { file, .. } => file.clone(),
+            Self::Points(_) => root.join(crate::capture::POINTS_FILE),
+            Self::NoSuchView { split, .. } => root.join(meta_file(*split)),
+        };
+        Fault::new(&file, self, self.fix())
+    }
+}

@@ -1,0 +1,158 @@
+//! Every setting of the motion initialisation.
+
+use ffgs_fusion::{DensifyConfig, FusionConfig};
+use ffgs_triangulation::TriangulationConfig;
+use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// Settings of every stage from tracks to the places at t.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionConfig {
+    /// Which Gaussians stay valid.
+    pub marking: MarkingConfig,
+    /// Densification of tracks (Algorithm 2).
+    pub voronoi: VoronoiConfig,
+    /// Cross-level agreement.
+    pub agreement: AgreementConfig,
+    /// Gaussians to pixels.
+    pub association: AssociationConfig,
+    /// Rays to positions.
+    pub triangulation: TriangulationConfig,
+    /// Positions to a posterior.
+    pub fusion: FusionConfig,
+    /// Growth by uncertainty.
+    pub densification: DensifyConfig,
+}
+
+impl MotionConfig {
+    /// The paper's motion initialisation to the letter (Algorithms 1 and 2).
+    pub fn literal() -> Self {
+        let defaults = Self::default();
+        Self {
+            voronoi: VoronoiConfig {
+                source_filter: SourceFilter::All,
+                use_visibility: false,
+                ..defaults.voronoi
+            },
+            agreement: AgreementConfig { magnitude_floor_px: 0.0, ignore_unknown: false },
+            association: AssociationConfig {
+                flow_floor_px: 0.0,
+                min_transmittance: 1e-4,
+                contributors: 16,
+                withdraw_unseen: false,
+                rotate: Rotate::Nothing,
+                ..defaults.association
+            },
+            triangulation: TriangulationConfig::literal(),
+            fusion: FusionConfig::literal(),
+            ..defaults
+        }
+    }
+}
+
+/// A Gaussian is dynamic (valid) when inside the mask in all but `slack` of the views that see it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MarkingConfig {
+    /// Pixels by which the mask is grown before marking at t = 0.
+    pub dilation: usize,
+    /// Views that may disagree.
+    pub slack: u32,
+    /// Share of the dynamic layer lost in one frame beyond which the run warns.
+    pub loss_warning: f64,
+}
+
+impl Default for MarkingConfig {
+    fn default() -> Self {
+        Self { dilation: 2, slack: 2, loss_warning: 0.2 }
+    }
+}
+
+/// Sums over the pixels a Gaussian covers (Algorithm 1, lines 15 to 19).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AssociationConfig {
+    /// Least motion in the weight (px); 0 = literal, and standing parts are never measured.
+    pub flow_floor_px: f32,
+    /// Least sum of blending weights.
+    pub min_coverage: f32,
+    /// Least number of pixels.
+    pub min_hits: u32,
+    /// A pixel is finished before the contribution that would bring its transmittance to this value: what shows
+    /// through less moves with what hides it. 1e-4 = as far as is rendered.
+    #[serde(deserialize_with = "transmittance")]
+    pub min_transmittance: f32,
+    /// Gaussians that each pixel counts for, the heaviest, at most [`MAX_CONTRIBUTORS`]; 0 = all.
+    #[serde(deserialize_with = "contributors")]
+    pub contributors: usize,
+    /// Whether what cannot be in a view's image at t is left unobserved there.
+    pub withdraw_unseen: bool,
+    /// What turns with the rigid motion.
+    pub rotate: Rotate,
+}
+
+/// What turns with the rigid motion of a Gaussian's group at initialisation; the paper moves positions only.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rotate {
+    /// Nothing (literal).
+    Nothing,
+    /// The splat.
+    Splat,
+    /// The splat and the directions of its colour.
+    #[default]
+    SplatAndColour,
+}
+
+/// Largest number of contributors a pixel; each takes memory and time a pixel.
+const MAX_CONTRIBUTORS: usize = 64;
+
+fn contributors<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let found = usize::deserialize(deserializer)?;
+    let fault = || D::Error::custom(format!("0 (all) to {MAX_CONTRIBUTORS} contributors, found {found}"));
+    (found <= MAX_CONTRIBUTORS).then_some(found).ok_or_else(fault)
+}
+
+fn transmittance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    let found = f32::deserialize(deserializer)?;
+    let fault = || D::Error::custom(format!("a transmittance of at least 0 and below 1, found {found}"));
+    (0.0..1.0).contains(&found).then_some(found).ok_or_else(fault)
+}
+
+impl Default for AssociationConfig {
+    fn default() -> Self {
+        Self {
+            flow_floor_px: 0.25,
+            min_coverage: 1e-3,
+            min_hits: 2,
+            min_transmittance: 1e-2,
+            contributors: 0,
+            withdraw_unseen: true,
+            rotate: Rotate::default(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn transmittances_that_are_none_are_refused() {
+        let read = |value| toml::from_str::<AssociationConfig>(&format!("min_transmittance = {value}"));
+        assert_eq!(read("0.5").unwrap().min_transmittance, 0.5);
+        for value in ["1.0", "-0.1", "nan", "inf"] {
+            let refused = read(value).unwrap_err().to_string();
+            assert!(refused.contains("at least 0 and below 1, found"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn contributors_beyond_the_largest_number_are_refused() {
+        let read = |count| toml::from_str::<AssociationConfig>(&format!("contributors = {count}"));
+        assert_eq!(read(64).unwrap().contributors, 64);
+        let refused = read(65).unwrap_err().to_string();
+        assert!(refused.contains("0 (all) to 64 contributors, found 65"), "{refused}");
+    }
+}

@@ -1,0 +1,25 @@
+//! The paper's method: from what trackers saw of every Gaussian to where it is at t (Algorithm 1, lines 3 to 42), a file
+//! for each stage.
+//!
+//! [`TrackerMotion`] is the method as a whole; [`observe`] and [`move_by`] are its two halves, for measurements between
+//! them. [`Standstill`] leaves every Gaussian where it is.
+
+mod config;
+mod densify;
+mod fields;
+mod fuse;
+mod observe;
+mod on_gpu;
+mod standstill;
+mod tracker_motion;
+mod triangulate;
+mod turn;
+mod validate;
+mod withdraw;
+
+pub use config::{AssociationConfig, MarkingConfig, MotionConfig, Rotate};
+pub use fuse::pixel_sizes;
+pub use observe::observe;
+pub use standstill::Standstill;
+pub use tracker_motion::{MotionInput, TrackerMotion, move_by};
+pub use turn::turned;

@@ -1,0 +1,106 @@
+use crate::{MotionConfig, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
+use anyhow::Result;
+use ffgs_core::{Camera, Dynamic, Estimates, Gaussians, Observations, Scene, StageLog};
+use ffgs_gpu::Gpu;
+use ffgs_method::{MotionMethod, Step, TrackSource};
+use glam::DVec3;
+
+/// Moves the dynamic layer by what the trackers saw: by all of them fused, or by one alone.
+pub struct TrackerMotion<'a> {
+    /// Settings of the stages.
+    pub config: MotionConfig,
+    /// The one tracker that is used, by name; `None` = all.
+    pub only: Option<String>,
+    /// Where motion fields and association are computed; `None` = the CPU.
+    pub gpu: Option<&'a Gpu>,
+}
+
+impl MotionMethod for TrackerMotion<'_> {
+    /// Moves the layer from t - 1 to t, removes what left the masks, and splits where the position is uncertain.
+    fn predict(&mut self, step: &Step, scene: &mut Scene, log: &mut StageLog) -> Result<()> {
+        let Scene { static_layer, dynamic, .. } = scene;
+        if dynamic.gaussians.is_empty() {
+            return Ok(());
+        }
+        let previous = dynamic.gaussians.positions();
+        let input = MotionInput {
+            config: &self.config,
+            step: *step,
+            trackers: self.trackers(step, log),
+            static_layer,
+            previous: &previous,
+            gpu: self.gpu,
+        };
+        let mut observations = match on_gpu::device(&input, log) {
+            Some(gpu) => on_gpu::observe(gpu, &input, &dynamic.gaussians, log)?,
+            None => observe(&input, &dynamic.gaussians, log, &mut |_, _| {})?,
+        };
+        move_by(&input, &mut observations, dynamic, log)?;
+        validate::validate_positions(&input, dynamic, log)?;
+        densify::densify(&input, dynamic, log);
+        Ok(())
+    }
+}
+
+impl TrackerMotion<'_> {
+    fn trackers<'a>(&self, step: &Step<'a>, log: &mut StageLog) -> Vec<&'a dyn TrackSource> {
+        if step.tracks.is_empty() {
+            log.warn("the capture has no tracks/tracks.json: nothing moves the dynamic layer");
+        }
+        let used = |source: &&dyn TrackSource| self.only.as_deref().is_none_or(|only| only == source.name());
+        step.tracks.iter().map(AsRef::as_ref).filter(used).collect()
+    }
+}
+
+/// What the stages of one frame read.
+pub struct MotionInput<'a> {
+    /// Settings.
+    pub config: &'a MotionConfig,
+    /// Views at t - 1 and t.
+    pub step: Step<'a>,
+    /// Trackers used.
+    pub trackers: Vec<&'a dyn TrackSource>,
+    /// The static layer, which hides parts of the dynamic one.
+    pub static_layer: &'a Gaussians,
+    /// Positions of the dynamic layer at t - 1 (m).
+    pub previous: &'a [DVec3],
+    /// Where motion fields and association are computed; `None` = the CPU.
+    pub gpu: Option<&'a Gpu>,
+}
+
+/// Lines 20 to 34: from what the trackers saw to the places at t. Returns every tracker's estimates.
+pub fn move_by(
+    input: &MotionInput,
+    observations: &mut [Observations],
+    dynamic: &mut Dynamic,
+    log: &mut StageLog,
+) -> Result<Vec<Estimates>> {
+    if input.config.association.withdraw_unseen {
+        let expected = expected_places(input, observations, dynamic, log)?;
+        let cameras: Vec<Camera> = input.step.now.iter().map(|view| view.camera).collect();
+        let withdrawn = withdraw::withdraw(&cameras, &expected, observations);
+        log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
+    }
+    let estimates = triangulate::triangulate(input, observations, log)?;
+    let fused = fuse::fuse(input, &estimates, dynamic, log)?;
+    fuse::apply(input, fused, dynamic, log);
+    Ok(estimates)
+}
+
+/// Where the last steps lead; without any, where all observations together do.
+fn expected_places(
+    input: &MotionInput,
+    observations: &[Observations],
+    dynamic: &Dynamic,
+    log: &mut StageLog,
+) -> Result<Vec<DVec3>> {
+    if let Some(steps) = dynamic.known_steps() {
+        return Ok(input.previous.iter().zip(steps).map(|(place, step)| *place + *step).collect());
+    }
+    // A rehearsal: what it skips is not counted, the time it takes is.
+    let mut rehearsal = StageLog::default();
+    let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
+    let fused = fuse::fuse(input, &estimates, dynamic, &mut rehearsal)?;
+    rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
+    Ok(fused.means)
+}

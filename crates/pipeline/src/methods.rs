@@ -1,0 +1,42 @@
+//! The methods that move the scene, as they are registered.
+
+use crate::method::{Method, Parts};
+use anyhow::{Result, bail};
+use ffgs_method::MotionMethod;
+use ffgs_motion::{Standstill, TrackerMotion};
+
+/// The paper's method with all trackers.
+pub const TRACKERS: Method = Method {
+    usage: "trackers",
+    former: Some("fused"),
+    summary: "moved by all trackers, fused (the paper's method)",
+    build: |parts, _| Ok(moved_by(parts, None)),
+};
+
+/// The same with one tracker.
+pub const TRACKER: Method = Method {
+    usage: "tracker:NAME",
+    former: None,
+    summary: "moved by one tracker of the capture",
+    build: one_tracker,
+};
+
+/// No motion initialisation.
+pub const NONE: Method = Method {
+    usage: "none",
+    former: None,
+    summary: "where the last frame ended: training alone follows what moves",
+    build: |_, _| Ok(Box::new(Standstill)),
+};
+
+fn moved_by<'a>(parts: &Parts<'a>, only: Option<String>) -> Box<dyn MotionMethod + 'a> {
+    Box::new(TrackerMotion { config: parts.config.motion(), only, gpu: parts.gpu })
+}
+
+fn one_tracker<'a>(parts: &Parts<'a>, name: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    let known: Vec<&str> = parts.tracks.iter().map(|source| source.name()).collect();
+    if !known.contains(&name) {
+        bail!("there is no tracker '{name}'; tracks/tracks.json names: {}", known.join(", "));
+    }
+    Ok(moved_by(parts, Some(name.to_owned())))
+}
