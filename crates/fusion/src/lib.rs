@@ -26,9 +26,6 @@
 //! # Ok::<(), ffgs_fusion::FusionError>(())
 //! ```
 
-// Guards phrase the accepted case, so that NaN fails them.
-#![allow(clippy::neg_cmp_op_on_partial_ord)]
-
 mod cells;
 mod config;
 mod correlation;

@@ -56,18 +56,12 @@ impl Gpu {
         Ok(Self::new(device, queue, report))
     }
 
-    /// The best adapter, for tests: without one `None` and a message, so that the test can be left out; with
-    /// `FFGS_REQUIRE_GPU=1` a panic.
-    pub fn for_test() -> Option<Self> {
-        let required = std::env::var_os("FFGS_REQUIRE_GPU").is_some_and(|v| v == "1");
-        match Self::open(None) {
-            Ok(gpu) => Some(gpu),
-            Err(error) if required => panic!("FFGS_REQUIRE_GPU=1, but: {error}"),
-            Err(error) => {
-                eprintln!("skipped: {error}");
-                None
-            }
-        }
+    /// The best adapter, for tests that are marked `#[ignore = "needs a GPU"]`.
+    ///
+    /// # Panics
+    /// Without an adapter: `cargo xtask ci` runs these tests and provides at least a software adapter.
+    pub fn for_test() -> Self {
+        Self::open(None).unwrap_or_else(|error| panic!("{error}"))
     }
 
     fn new(device: wgpu::Device, queue: wgpu::Queue, report: AdapterReport) -> Self {

@@ -3,8 +3,9 @@
 use ffgs_gpu::{Gpu, GpuError, Groups, Kernel};
 
 #[test]
+#[ignore = "needs a GPU"]
 fn too_large_a_buffer_is_refused_before_it_is_allocated_and_the_device_lives_on() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let limit = gpu.report().max_binding;
     let error = gpu.buffer("splats", limit + 1).unwrap_err();
     assert_eq!(error, GpuError::TooLarge { what: "splats".into(), bytes: limit + 1, limit });
@@ -14,8 +15,9 @@ fn too_large_a_buffer_is_refused_before_it_is_allocated_and_the_device_lives_on(
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn traffic_counts_every_byte() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let before = gpu.traffic();
     let values = gpu.upload("values", &[1_u32; 10]).unwrap();
     gpu.download::<u32>(&values, 7).unwrap();
@@ -31,8 +33,9 @@ const BROKEN: Kernel = Kernel {
 };
 
 #[test]
+#[ignore = "needs a GPU"]
 fn a_shader_that_does_not_compile_is_an_error() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let values = gpu.upload("values", &[1_u32]).unwrap();
     let mut commands = gpu.commands();
     commands.run(&BROKEN, &[&values], Groups::Direct(1));
@@ -71,8 +74,9 @@ fn steps_until_lost(gpu: &Gpu) -> usize {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn a_lost_device_is_an_error_of_the_next_call_and_of_all_after() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     gpu.lose_after(3);
     assert_eq!(steps_until_lost(&gpu), 3);
     assert_eq!(steps_until_lost_again(&gpu), 0);
@@ -88,8 +92,9 @@ fn steps_until_lost_again(gpu: &Gpu) -> usize {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn a_device_lost_between_submissions_that_nobody_waits_for_is_found() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let values = gpu.upload("values", &[0_u32]).unwrap();
     gpu.lose_after(2);
     let step = || {
@@ -102,8 +107,9 @@ fn a_device_lost_between_submissions_that_nobody_waits_for_is_found() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn memory_beyond_the_limit_is_refused_and_the_device_lives_on() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let gpu = gpu.with_memory_limit(1000);
     let kept = gpu.buffer("kept", 800).unwrap();
     let error = gpu.buffer("too much", 400).unwrap_err();
@@ -116,8 +122,9 @@ fn memory_beyond_the_limit_is_refused_and_the_device_lives_on() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn kernels_are_timed_in_their_order() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let values = gpu.upload("values", &[0_u32]).unwrap();
     let Some(mut commands) = gpu.timed_commands() else { return eprintln!("no timestamps here") };
     commands.run(&COUNT, &[&values], Groups::Direct(1));

@@ -12,9 +12,6 @@
 //! assert!((summary.nees_median - 4.0).abs() < 1e-9);
 //! ```
 
-// Guards phrase the accepted case, so that NaN fails them.
-#![allow(clippy::neg_cmp_op_on_partial_ord)]
-
 mod flow;
 mod score;
 mod table;

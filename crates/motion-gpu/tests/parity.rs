@@ -53,8 +53,9 @@ fn assert_close(found: &DenseMotion, expected: &DenseMotion, what: &str) {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn densification_agrees_for_any_number_of_tracks_and_neighbours() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     for (n, k, sigma, every, source_filter, use_visibility) in [
         (0, 8, 0.05, 9999, SourceFilter::Foreground, false),
         (1, 8, 0.05, 9999, SourceFilter::All, false),
@@ -99,8 +100,9 @@ fn fields(seed: u64) -> Vec<DenseMotion> {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn agreement_agrees_for_one_to_three_trackers() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let whole = Mask::filled(SIZE, true);
     for trackers in 1..=3 {
         for (magnitude_floor_px, ignore_unknown) in [(0.5, true), (0.0, false)] {
@@ -126,8 +128,9 @@ fn agreement_agrees_for_one_to_three_trackers() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn planes_hold_what_association_sums() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let (mask, floor) = (mask(3), 0.25);
     let fields = fields(5);
     let on_device = ViewFields::new(&gpu, &mask, 2).unwrap();
@@ -155,8 +158,9 @@ fn planes_hold_what_association_sums() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn what_is_no_motion_is_refused_as_on_the_cpu() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let mask = mask(3);
     let fields = ViewFields::new(&gpu, &mask, 1).unwrap();
     let config = VoronoiConfig::default();
@@ -176,8 +180,9 @@ fn what_is_no_motion_is_refused_as_on_the_cpu() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn an_empty_mask_has_empty_fields() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let mask = Mask::filled(SIZE, false);
     let fields = ViewFields::new(&gpu, &mask, 1).unwrap();
     fields.densify(0, &VoronoiConfig::default(), &tracks(5, 1), &mask).unwrap();

@@ -1,10 +1,10 @@
-//! What a run says of its motion initialisation, on two frames of the sample with next to no training.
+//! Runs over two or three frames of the sample, with next to no training.
 
 use ffgs_pipeline::cli::FrameRange;
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
 use ffgs_pipeline::method::MethodChoice;
-use ffgs_pipeline::record::{FrameRecord, Metrics, read_json};
+use ffgs_pipeline::record::{FrameRecord, Metrics, RunFolder, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;
 use std::fs;
@@ -67,4 +67,51 @@ fn the_initialisation_is_graded_as_it_was_before_finetuning() {
         assert_eq!(metrics.mean.initial_mpsnr, Some(grade));
         assert!(report(out).contains("initialisation alone"));
     }
+}
+
+fn first(end: usize) -> FrameRange {
+    FrameRange { start: 0, end: Some(end) }
+}
+
+/// On the CPU, with the linear solve of the static lane, which is the default and keeps traces between frames.
+#[test]
+fn a_resumed_run_has_the_bytes_of_one_that_never_stopped() {
+    let folder = TempDir::new().unwrap();
+    let [whole, cut] = ["whole", "cut"].map(|name| folder.path().join(name));
+    let request = |out: &Path, end: usize, resume: bool| {
+        let mut request = RunRequest { frames: Some(first(end)), resume, ..request(out, 3) };
+        request.config.background.static_method = StaticMethod::Solve;
+        request.config.background.solve_iterations = 2;
+        request.config.background.sky_iterations = 2;
+        request
+    };
+    run(&request(&whole, 3, false)).unwrap();
+    run(&request(&cut, 2, false)).unwrap();
+    run(&request(&cut, 3, true)).unwrap();
+    for frame in 0..3 {
+        for file in ["state.ffgs", "static.ply", "dynamic.ply", "pictures.json"] {
+            let bytes = |out: &Path| fs::read(RunFolder(out.to_owned()).frame(frame).join(file)).unwrap();
+            assert!(bytes(&whole) == bytes(&cut), "frame {frame}, {file}");
+        }
+    }
+}
+
+#[test]
+fn motion_may_be_left_out_or_come_from_one_tracker() {
+    let folder = TempDir::new().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    run(&RunRequest { frames: Some(first(1)), ..request(&out("first"), 0) }).unwrap();
+    let run_with = |name: &str, method: &str| {
+        let method = method.parse().unwrap();
+        let request = RunRequest { method, first_frame: Some(out("first")), ..request(&out(name), 0) };
+        run(&request).map(|_| fs::read(RunFolder(out(name)).frame(1).join("dynamic.ply")).unwrap())
+    };
+    let none = run_with("none", "none").unwrap();
+    let start = fs::read(RunFolder(out("first")).frame(0).join("dynamic.ply")).unwrap();
+    assert!(none == start, "nothing moves without motion and finetuning");
+    let one = run_with("one", "tracker:points_raft").unwrap();
+    let fused = run_with("fused", "trackers").unwrap();
+    assert!(one != none && one != fused);
+    let error = format!("{:#}", run_with("unknown", "tracker:points").unwrap_err());
+    assert!(error.contains("points_raft") && error.contains("dense_gmflow"), "{error}");
 }

@@ -97,8 +97,9 @@ fn gradient_errors(g: &Gradients, file: &NpzFile) -> Vec<(&'static str, f64)> {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn images_and_gradients_agree_outside_fragile_pixels() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     for path in cases() {
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
         let file = NpzFile::open(&path).unwrap();

@@ -162,7 +162,10 @@ pub(crate) fn offset(mean: [f32; 3], center: DVec3) -> Vec3 {
 
 /// Projects the shape of a Gaussian, given its position relative to the camera's centre (m, world axes). No branches,
 /// calls or closures: the loops that use it are vectorised across Gaussians.
-#[allow(clippy::needless_bitwise_bool)] // A lazy operator is a branch, and a branch keeps the loop from being vectorised.
+#[allow(
+    clippy::needless_bitwise_bool,
+    reason = "a lazy operator is a branch, and a branch keeps the loop from being vectorised"
+)]
 #[inline(always)]
 pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &PinholeF32) -> Ewa {
     let point = camera.rotation * offset;
@@ -220,7 +223,10 @@ pub(crate) struct Extent {
 
 /// The splat without colour, index and spans, and its extent; its opacity is 0 where it cannot show, be it because it
 /// lies outside the image of `size` (px).
-#[allow(clippy::needless_bitwise_bool)] // A lazy operator is a branch, and a branch keeps the loop from being vectorised.
+#[allow(
+    clippy::needless_bitwise_bool,
+    reason = "a lazy operator is a branch, and a branch keeps the loop from being vectorised"
+)]
 #[inline(always)]
 pub(crate) fn splat(
     offset: Vec3,

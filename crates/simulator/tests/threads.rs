@@ -1,7 +1,7 @@
 //! The motion initialisation gives the same bits on any number of threads.
 
 #[path = "../benches/scene/mod.rs"]
-#[allow(dead_code)] // The benchmarks' sizes.
+#[allow(dead_code, reason = "the sizes of the benchmarks are not used here")]
 mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};

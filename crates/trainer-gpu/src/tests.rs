@@ -109,8 +109,9 @@ fn half(first: usize) -> Mask {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn the_loss_and_its_gradient_agree() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let views = photographs(&blob(40, [0.0; 3], 1.0, 1), &blob(1, [0.0; 3], 0.1, 2));
     let rendered = render(&blob(40, [0.1, 0.0, 0.0], 1.0, 1), &SkyCube::filled(8, SKY), &views[0].camera);
     let pixels: Vec<[f32; 4]> =
@@ -143,8 +144,9 @@ fn the_loss_and_its_gradient_agree() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn steps_of_the_optimiser_agree() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let mut expected = blob(50, [0.0; 3], 1.0, 3);
     let optimiser = Optimiser::new(&gpu, &expected).unwrap();
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
@@ -180,8 +182,9 @@ fn steps_of_the_optimiser_agree() {
 
 /// Moments after a step and a round of density control, with and without a reset of the opacities.
 #[test]
+#[ignore = "needs a GPU"]
 fn moments_are_carried_over_a_round_of_density_control() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let (start, gradient) = (blob(5, [0.0; 3], 1.0, 3), blob(5, [0.0; 3], 1.0, 4));
     let map = IndexMap { sources: vec![0, 2, 3, 2, 4], keeps_moments: vec![true, true, true, false, false] };
     for keep_opacity in [true, false] {
@@ -216,8 +219,9 @@ fn moments_are_carried_over_a_round_of_density_control() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn the_sky_agrees() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let truth = blob(20, [0.0; 3], 0.5, 4);
     let views = photographs(&truth, &blob(1, [9.0, 9.0, -3.0], 0.1, 2));
     let start = SkyCube::filled(8, [0.4, 0.7, 0.6]);
@@ -236,8 +240,9 @@ fn the_sky_agrees() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let (moving, around) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
     let sky = SkyCube::filled(8, SKY);
     let views = photographs(&joint(&moving, &around), &moving);
@@ -265,8 +270,9 @@ fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn the_static_lane_agrees() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let truth = blob(60, [0.0, 0.2, 0.3], 1.6, 7);
     let sky = SkyCube::filled(8, SKY);
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
@@ -287,8 +293,9 @@ fn the_static_lane_agrees() {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn the_first_frame_agrees() {
-    let Some(gpu) = Gpu::for_test() else { return };
+    let gpu = Gpu::for_test();
     let truth = blob(80, [0.0, 0.2, 0.3], 1.4, 7);
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
     let start = perturbed(&truth, 8);
@@ -347,19 +354,21 @@ fn assert_lanes_fail_cleanly(gpu: &Gpu, is_expected: fn(&GpuError) -> bool) {
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn a_lane_whose_device_is_lost_ends_with_an_error_and_leaves_its_layer_alone() {
     let is_loss = |e: &GpuError| matches!(e, GpuError::Lost(_));
     for submissions in [0, 1, 7, 30] {
-        let Some(gpu) = Gpu::for_test() else { return };
+        let gpu = Gpu::for_test();
         gpu.lose_after(submissions);
         assert_lanes_fail_cleanly(&gpu, is_loss);
     }
 }
 
 #[test]
+#[ignore = "needs a GPU"]
 fn a_lane_without_memory_ends_with_an_error_and_leaves_its_layer_alone() {
     for limit in [1_000, 100_000, 400_000] {
-        let Some(gpu) = Gpu::for_test() else { return };
+        let gpu = Gpu::for_test();
         let gpu = gpu.with_memory_limit(limit);
         assert_lanes_fail_cleanly(&gpu, |e| *e == GpuError::OutOfMemory);
         gpu.release_unused();

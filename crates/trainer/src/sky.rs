@@ -216,7 +216,10 @@ fn between_texels(s: f32, size: f32, last: f32) -> (f32, f32) {
 
 /// Face, and coordinates on it in -1..=1 (OpenGL 4.6 specification, table 8.19). Selects and no branches, so that the
 /// loop over a row is vectorised.
-#[allow(clippy::needless_bitwise_bool)]
+#[allow(
+    clippy::needless_bitwise_bool,
+    reason = "a lazy operator is a branch, and a branch keeps the loop from being vectorised"
+)]
 #[inline(always)]
 fn face_coordinates(d: Vec3) -> (f32, f32, f32) {
     let size = d.abs();

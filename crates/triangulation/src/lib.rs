@@ -34,9 +34,6 @@
 //! # Ok::<(), ffgs_triangulation::TriangulationError>(())
 //! ```
 
-// Guards phrase the accepted case, so that NaN fails them.
-#![allow(clippy::neg_cmp_op_on_partial_ord)]
-
 mod config;
 mod normal;
 mod passes;

@@ -3,7 +3,7 @@
 //! Every case runs in a process of its own, so that the peak is that case's alone; the parent prints one CSV row a
 //! case. `held` is what the method cannot do without, by the formulas of [`held`].
 
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the other benchmark uses the rest")]
 #[path = "../cpu/scene.rs"]
 mod scene;
 
