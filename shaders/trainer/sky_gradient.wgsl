@@ -9,6 +9,8 @@
 @group(0) @binding(4) var<storage, read> upstream: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<atomic<i32>>;
 
+// Least transmittance at which a pixel says anything of the sky. CPU twin: `sky_share`.
+const MIN_THROUGH: f32 = 0.1;
 // One pixel's share of the range of a sum: 2^31 holds 2048 pixels at this limit.
 const LIMIT: f32 = 1048576.0;
 
@@ -29,6 +31,9 @@ fn sky_gradient(
     }
     let at = pixel.y * view.size.x + pixel.x;
     let through = pixels[at].w;
+    if through < MIN_THROUGH {
+        return;
+    }
     let g = upstream[at].xyz * (through * through);
     if all(g == vec3f(0.0)) {
         return;

@@ -2,6 +2,7 @@
 
 use crate::densify::{DensityConfig, DensityControl, ViewStatistics, reset_opacities};
 use crate::schedule::{Epochs, decay};
+use crate::sky::sky_share;
 use crate::view::{Progress, Running};
 use crate::{
     Adam, AdamVec, LearningRates, LossRegion, PhotometricLoss, SKY_DOUBT, SkyView, TexelGradients, Update,
@@ -197,7 +198,7 @@ impl<'a> Training<'a> {
         let Some(view) = &self.sky_view else { return };
         let through = self.tape.transmittance();
         for plane in self.pixel_gradient.data_mut().chunks_exact_mut(through.len()) {
-            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t * t);
+            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t * sky_share(t));
         }
         let doubt = SKY_DOUBT / (3 * through.len()) as f32;
         self.texel_gradients.clear();

@@ -15,6 +15,13 @@ const CHUNK: usize = 4096;
 pub const SKY_DOUBT: f32 = 0.1;
 /// Likewise in the sky lane, whose loss is half the squared error: an expected error of 0.05 at each of these pixels.
 pub const SKY_LANE_DOUBT: f32 = SKY_DOUBT * 0.05;
+/// Least transmittance at which a pixel says anything of the sky: behind less, a wall of the wrong colour outweighs it.
+const MIN_THROUGH: f32 = 0.1;
+
+/// How much the error of a pixel is the sky's: the transmittance once more, and nothing where little shows through.
+pub(crate) fn sky_share(transmittance: f32) -> f32 {
+    if transmittance < MIN_THROUGH { 0.0 } else { transmittance }
+}
 
 /// Where a pixel's ray meets the cube: the first of four neighbouring texels, and how far the ray lies beyond its centre.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -2,6 +2,7 @@
 
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
+use crate::sky::sky_share;
 use crate::{AdamVec, SKY_LANE_DOUBT, SkyView, TexelGradients, Update};
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
@@ -87,7 +88,7 @@ impl SkyTarget {
         let pixels = self.transmittance.len();
         for (i, v) in sky.data_mut().iter_mut().enumerate() {
             let t = self.transmittance[i % pixels];
-            *v = t * t * (t * *v - self.remainder.data()[i]);
+            *v = t * sky_share(t) * (t * *v - self.remainder.data()[i]);
         }
     }
 }
