@@ -1,7 +1,7 @@
 //! `cargo xtask ci`: everything that must pass before a change lands.
 
 use crate::monaco::{Environment, Extent, Pip};
-use crate::{ffgs, fixtures, setup, tidy, workspace};
+use crate::{ffgs, fixtures, players, setup, tidy, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::fs::File;
@@ -21,7 +21,7 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 13] = [
+const STEPS: [Step; 14] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -32,6 +32,7 @@ const STEPS: [Step; 13] = [
     ("fixtures", |root| fixtures::check(root).map(Outcome::Passed)),
     ("tests", tests),
     ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
+    ("players", players),
     ("main job", main_job),
     ("generator", generator),
     ("rendering", rendering),
@@ -148,6 +149,21 @@ fn licences(root: &Path) -> Result<Outcome> {
 
 fn starts(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
+}
+
+/// Splat files as PlayCanvas' splat-transform reads them, and our page's decoder on the conformance stream; skipped, with the reason, where it cannot be installed.
+fn players(root: &Path) -> Result<Outcome> {
+    let (variable, reader) = match players::judge(root) {
+        Ok(judge) => judge,
+        Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
+    };
+    let mut command = workspace::cargo(root);
+    command.env("CARGO_TERM_COLOR", "never").env(variable, reader);
+    let words = ["test", "-p", "ffgs-splats", "--test", "formats", "players_read_what_was_written"];
+    let files = captured(command.args(words))?;
+    let script = ["xtask/players/stream_test.mjs", "web/stream.js", "fixtures/reference/stream"];
+    let stream = captured(Command::new("node").current_dir(root).args(script))?;
+    Ok(Outcome::Passed(files + &stream))
 }
 
 /// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.

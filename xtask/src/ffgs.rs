@@ -18,7 +18,10 @@ struct Program {
 const FFGS: Program = Program {
     package: "ffgs-pipeline",
     name: "ffgs",
-    commands: &["prepare", "convert", "run", "check", "stage", "render", "eval", "config", "devices"],
+    commands: &[
+        "prepare", "convert", "run", "check", "stage", "render", "eval", "export", "view", "config",
+        "devices",
+    ],
 };
 const LAB: Program =
     Program { package: "ffgs-lab", name: "ffgs-lab", commands: &["motion-eval", "simulate", "ablations"] };

@@ -6,6 +6,7 @@ mod compare;
 mod ffgs;
 mod fixtures;
 mod monaco;
+mod players;
 mod setup;
 mod tidy;
 mod workspace;
@@ -29,6 +30,8 @@ Every command of ffgs and of ffgs-lab passes through, with the program built in 
   cargo xtask stage NAME --input in.npz --output out.npz
   cargo xtask render RUN --frame 3 --orbit
   cargo xtask eval RUN
+  cargo xtask export RUN --to FORMAT            files for other players
+  cargo xtask view RUN                          play a run in the browser
   cargo xtask config                            the default configuration, with comments
   cargo xtask motion-eval CAPTURE               the motion initialisation against ground truth
   cargo xtask simulate                          the fusion on simulated scenes
@@ -140,7 +143,12 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Monaco { args } => return monaco::run(&root, &args),
         Command::Ffgs(args) => return ffgs::pass_through(&root, &args),
-        Command::Setup => setup::run_for_tests()?,
+        Command::Setup => {
+            setup::run_for_tests()?;
+            if let Err(reason) = players::install(&root) {
+                println!("ffgs view and --to site will not work: {reason:#}");
+            }
+        }
         Command::Tidy => {
             tidy::run(&root)?;
             println!("tidy: no finding");

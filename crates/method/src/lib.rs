@@ -5,7 +5,7 @@
 //! | [`CaptureFormat`], [`Capture`] | a layout of captures on disk, and an opened one |
 //! | [`TrackFormat`], [`TrackSource`] | a file format of a tracker; the motion of one view from t-1 to t |
 //! | [`MotionMethod`] | moves and changes a scene from t-1 to t |
-//! | [`SplatWriter`] | writes the scene of a frame, or of a whole run |
+//! | [`SplatWriter`] | writes the Gaussians of a frame for other programs |
 //!
 //! Every plug-in has a [`Plugin::name`] and stands in one [`Registry`]: the values of command-line options, the lists
 //! that the program prints and the errors on unknown names come from there. To add one, write its file and add its line
@@ -24,5 +24,5 @@ pub use capture::{Capture, CaptureFormat, Points, Split, ViewAt};
 pub use fault::Fault;
 pub use motion::{Finetuning, MotionMethod, Step};
 pub use registry::{Plugin, Registry, Unknown};
-pub use splats::{FrameScene, SplatWriter};
+pub use splats::{RenderMode, SplatWriter};
 pub use tracks::{PixelCenter, TrackFormat, TrackSource, Tracked, ViewStep};

@@ -1,41 +1,37 @@
 //! Files for other programs.
 
 use crate::{Fault, Plugin};
-use ffgs_core::Scene;
-use std::path::{Path, PathBuf};
+use ffgs_core::Gaussians;
+use std::path::Path;
 
-/// The scene of one frame.
-#[derive(Clone, Debug)]
-pub struct FrameScene {
-    /// Frame.
-    pub frame: usize,
-    /// The scene.
-    pub scene: Scene,
+/// How a renderer must draw the Gaussians of a file for the pictures that they were trained on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RenderMode {
+    /// With the opacity compensation of Mip-Splatting (Yu et al. 2024): what this program trains.
+    #[default]
+    Mip,
+    /// Without it: what ordinary viewers draw, and what a baked export is made for.
+    Plain,
 }
 
-/// Writes scenes in a format.
+/// A format of files that hold the Gaussians of one frame. Which layers, which frames and under which names is the caller's
+/// choice: players want one file per frame.
 pub trait SplatWriter: Plugin {
-    /// Writes one frame into `folder`, which exists; returns the files.
-    ///
-    /// # Errors
-    /// When a file cannot be written, or the format cannot hold the scene.
-    fn write_frame(&self, scene: &Scene, folder: &Path) -> Result<Vec<PathBuf>, Fault>;
+    /// End of its file names, with the dot.
+    fn extension(&self) -> &'static str;
 
-    /// Writes the frames of a run, in order, into `folder`, which exists. By default each goes to a folder of its own,
-    /// `folder/NNNNNN`; a format over time writes one file.
+    /// Writes a file, whole or not at all. A format without a place for the mode leaves it out.
     ///
     /// # Errors
-    /// As [`write_frame`](Self::write_frame); an error of `frames` is handed on.
-    fn write_run(
-        &self,
-        frames: &mut dyn Iterator<Item = Result<FrameScene, Fault>>,
-        folder: &Path,
-    ) -> Result<Vec<PathBuf>, Fault> {
-        let mut files = Vec::new();
-        for frame in frames {
-            let FrameScene { frame, scene } = frame?;
-            files.extend(self.write_frame(&scene, &folder.join(format!("{frame:06}")))?);
-        }
-        Ok(files)
+    /// When the file cannot be written, or the format cannot hold the Gaussians.
+    fn write(&self, file: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), Fault>;
+
+    /// Reads a file again, as a player sees it; `None` for a format that this program only writes.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    fn read(&self, file: &Path) -> Option<Result<Gaussians, Fault>> {
+        let _ = file;
+        None
     }
 }

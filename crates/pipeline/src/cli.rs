@@ -39,6 +39,10 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure a finished run again
     Eval(EvalArgs),
+    /// Write a finished run as files for other players
+    Export(crate::export::ExportArgs),
+    /// Show a run or a stream in the browser
+    View(crate::view::ViewArgs),
     /// List the methods that `run --method` takes
     Methods,
     /// List the formats of captures that are read
@@ -290,6 +294,14 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             args.log.start();
             crate::eval::eval(&args)?;
         }
+        Command::Export(args) => {
+            args.log.start();
+            crate::export::export(&args)?;
+        }
+        Command::View(args) => {
+            args.log.start();
+            crate::view::view(&args)?;
+        }
         Command::Methods => print!("{}", METHODS.table()),
         Command::Formats => print!("captures:\n{}", CAPTURES.table()),
         Command::Devices => device::list(),
@@ -323,6 +335,7 @@ mod tests {
         Line::<RunArgs>::command().debug_assert();
         Line::<RenderArgs>::command().debug_assert();
         Line::<EvalArgs>::command().debug_assert();
+        Line::<crate::export::ExportArgs>::command().debug_assert();
     }
 
     #[test]

@@ -155,7 +155,8 @@ impl<'a> Lanes<'a> {
     }
 }
 
-fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
+/// What a camera sees of the sky.
+pub(crate) fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
     let mut picture = PlanarImage::zeros(camera.size());
     SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
     picture

@@ -1,5 +1,6 @@
 //! The composition root: it wires the stages into `ffgs run` and offers each of them alone.
 
+mod bake;
 pub mod check;
 pub mod cli;
 pub mod config;
@@ -7,12 +8,16 @@ mod config_text;
 mod console;
 pub mod device;
 pub mod eval;
+pub mod export;
+mod export_stream;
 pub mod frame;
 mod lanes;
 pub mod manifest;
+mod measure;
 mod memory;
 pub mod method;
 mod methods;
+mod page;
 pub mod prepare;
 pub mod record;
 pub mod registry;
@@ -22,3 +27,4 @@ pub mod run;
 pub mod scoring;
 pub mod stage;
 pub mod state;
+pub mod view;

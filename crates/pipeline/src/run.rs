@@ -24,6 +24,7 @@ use ffgs_gpu::Gpu;
 use ffgs_method::{Capture, Finetuning, MotionMethod, Split, Step, TrackSource, ViewAt};
 use ffgs_motion::pixel_sizes;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
+use ffgs_splats::RenderMode::Mip;
 use ffgs_splats::Tracked;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
 use std::io::Write;
@@ -389,9 +390,9 @@ impl<'a> Job<'a> {
     ) -> Result<FrameRecord> {
         let folder = self.folder.frame(frame);
         let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
-        ffgs_splats::write_ply(&static_ply, &scene.static_layer, None)?;
+        ffgs_splats::write_ply(&static_ply, &scene.static_layer, None, Mip)?;
         let Dynamic { gaussians, covariances, ids, .. } = &scene.dynamic;
-        ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }))?;
+        ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }), Mip)?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
         (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.lanes())?;

@@ -37,9 +37,15 @@ pub enum Problem {
     /// The data handed over do not fit together.
     #[error("{0}")]
     Shape(String),
-    /// The PNG encoder refused.
+    /// The PNG or JPEG encoder refused.
     #[error("{0}")]
     Image(#[from] image::ImageError),
+    /// The WebP encoder refused.
+    #[error("{0}")]
+    WebP(#[from] image_webp::EncodingError),
+    /// The zip writer refused.
+    #[error("{0}")]
+    Zip(#[from] zip::result::ZipError),
 }
 
 /// Names the file in an error.

@@ -1,18 +1,34 @@
-//! Splat files: 3DGS PLY (with position covariances as extra properties), checkpoints that restore a frame's state
-//! bit by bit, and the sky cube map as PNG.
+//! Splat files: 3DGS PLY (with position covariances as extra properties), the formats of today's players (compressed PLY,
+//! SPZ, SOG, GLB), checkpoints that restore a frame's state bit by bit, and the sky as PNG or JPEG.
 //!
 //! Every file is written through a temporary one and a rename: a reader sees the whole file or none.
 
 mod bytes;
 mod checkpoint;
+mod codebook;
+mod compressed_ply;
 mod error;
+mod format;
+mod glb;
 mod ply_header;
 mod ply_read;
 mod ply_write;
+mod quantise;
 mod sky;
+mod sog;
+mod spz;
 
 pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
+pub use compressed_ply::write_compressed_ply;
 pub use error::{Problem, SplatError};
+pub use ffgs_method::RenderMode;
+pub use format::FORMATS;
+pub use glb::write_glb;
 pub use ply_read::{PlySplats, read_ply};
 pub use ply_write::{Tracked, write_ply};
-pub use sky::{SKY_FACES, write_sky_cross, write_sky_faces};
+pub use sky::{
+    Panorama, SKY_FACES, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular,
+    write_sky_faces,
+};
+pub use sog::write_sog;
+pub use spz::{ShBits, decode_spz, encode_spz, read_spz, write_spz};

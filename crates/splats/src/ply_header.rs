@@ -1,4 +1,4 @@
-use crate::Problem;
+use crate::{Problem, RenderMode};
 use std::io::{BufRead, Read};
 
 /// A header longer than this is not a splat file (ours has under 3 KiB).
@@ -147,4 +147,12 @@ fn parse_property(words: &[&str], line: &str) -> Result<Property, Problem> {
         return Err(Problem::Header(format!("the list count of `{name}` is not an integer")));
     }
     Ok(Property { name: (*name).to_owned(), list_count, scalar: Scalar::parse(scalar)? })
+}
+
+/// Line of a header that names the mode, as Brush and splat-transform read it; nothing for plain files.
+pub(crate) fn ply_comment(mode: RenderMode) -> &'static str {
+    match mode {
+        RenderMode::Mip => "comment SplatRenderMode: mip\n",
+        RenderMode::Plain => "",
+    }
 }

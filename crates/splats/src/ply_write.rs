@@ -1,5 +1,6 @@
 use crate::error::InFile;
-use crate::{Problem, SplatError};
+use crate::ply_header::ply_comment;
+use crate::{Problem, RenderMode, SplatError};
 use ffgs_core::{Gaussians, write_atomically};
 use glam::DMat3;
 use std::io::Write;
@@ -16,11 +17,20 @@ pub struct Tracked<'a> {
 
 /// Writes a binary little-endian 3DGS PLY that other viewers open: `x y z nx ny nz f_dc_* f_rest_*` (channel-major)
 /// `opacity scale_* rot_*` (w, x, y, z), all f32. What is `tracked` becomes the extra properties
-/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz` (f32) and `id` (u32).
-pub fn write_ply(path: &Path, gaussians: &Gaussians, tracked: Option<Tracked>) -> Result<(), SplatError> {
+/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz` (f32) and `id` (u32). A header comment names the mode of what ordinary viewers
+/// draw wrongly.
+///
+/// # Errors
+/// When the columns do not match, or the file cannot be written.
+pub fn write_ply(
+    path: &Path,
+    gaussians: &Gaussians,
+    tracked: Option<Tracked>,
+    mode: RenderMode,
+) -> Result<(), SplatError> {
     check(gaussians, tracked).in_file(path)?;
     write_atomically(path, |out| -> Result<(), Problem> {
-        out.write_all(header(gaussians, tracked.is_some()).as_bytes())?;
+        out.write_all(header(gaussians, tracked.is_some(), mode).as_bytes())?;
         let mut row = Vec::new();
         for i in 0..gaussians.len() {
             row.clear();
@@ -49,7 +59,7 @@ fn check(gaussians: &Gaussians, tracked: Option<Tracked>) -> Result<(), Problem>
     }
 }
 
-fn header(gaussians: &Gaussians, with_tracked: bool) -> String {
+fn header(gaussians: &Gaussians, with_tracked: bool, mode: RenderMode) -> String {
     let rest = 3 * (gaussians.sh_stride() - 1);
     let numbered = |name: &'static str, n: usize| (0..n).map(move |i| format!("{name}_{i}"));
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
@@ -65,7 +75,9 @@ fn header(gaussians: &Gaussians, with_tracked: bool) -> String {
     }
     let vertices = gaussians.len();
     let properties = properties.concat();
-    format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{properties}end_header\n")
+    let comment = ply_comment(mode);
+    let element = format!("element vertex {vertices}");
+    format!("ply\nformat binary_little_endian 1.0\n{comment}{element}\n{properties}end_header\n")
 }
 
 fn push_row(row: &mut Vec<f32>, gaussians: &Gaussians, i: usize, covariance: Option<DMat3>) {

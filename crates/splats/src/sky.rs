@@ -1,12 +1,18 @@
 use crate::error::InFile;
 use crate::{Problem, SplatError};
 use ffgs_core::write_atomically;
+use glam::Vec3;
+use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, RgbImage};
+use std::f32::consts::PI;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
 /// Names of the cube faces in the order of the texture.
 pub const SKY_FACES: [&str; 6] = ["px", "nx", "py", "ny", "pz", "nz"];
+
+/// Of 100: artefacts are not visible in a smooth sky.
+const JPEG_QUALITY: u8 = 85;
 
 /// Column and row of each face in the 4 x 3 cross: +y above +z, -y below, and -x, +z, +x, -z in the middle row.
 const CROSS: [(u32, u32); 6] = [(2, 1), (0, 1), (1, 0), (1, 2), (1, 1), (3, 1)];
@@ -35,6 +41,99 @@ pub fn write_sky_cross(path: &Path, face_size: usize, texels: &[f32]) -> Result<
         }
     }
     write_png(path, &cross)
+}
+
+/// Writes the sky as an equirectangular 8-bit JPEG, as [`encode_sky_equirectangular`] makes it.
+///
+/// # Errors
+/// When the texels do not fit the face size, or the file cannot be written.
+pub fn write_sky_equirectangular(
+    path: &Path,
+    face_size: usize,
+    texels: &[f32],
+    up: Vec3,
+    forward: Vec3,
+) -> Result<(), SplatError> {
+    let bytes = encode_sky_equirectangular(face_size, texels, up, forward).in_file(path)?;
+    write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
+}
+
+/// The sky as an equirectangular 8-bit JPEG, twice as wide as high. The top row looks along `up`, the middle column along
+/// `forward` (unit vectors of the world, at right angles), columns run to the right of it. `texels` as in
+/// [`write_sky_faces`].
+///
+/// # Errors
+/// When the texels do not fit the face size.
+pub fn encode_sky_equirectangular(
+    face_size: usize,
+    texels: &[f32],
+    up: Vec3,
+    forward: Vec3,
+) -> Result<Vec<u8>, Problem> {
+    let faces = faces(face_size, texels)?;
+    // Twice the texels of a face along a quarter turn, so that a bilinear look-up finds the cube's own colours.
+    let height = 4 * face_size as u32;
+    let right = forward.cross(up);
+    let mut picture = RgbImage::new(2 * height, height);
+    for (x, y, pixel) in picture.enumerate_pixels_mut() {
+        let (sin_y, cos_y) = ((y as f32 + 0.5) / height as f32 * PI).sin_cos();
+        let (sin_x, cos_x) = ((x as f32 + 0.5) / height as f32 * PI - PI).sin_cos();
+        let (face, at) = face_pixel(sin_y * (cos_x * forward + sin_x * right) + cos_y * up, face_size);
+        *pixel = *faces[face].get_pixel(at[0], at[1]);
+    }
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY))?;
+    Ok(bytes.into_inner())
+}
+
+/// An equirectangular sky to look things up in.
+#[derive(Clone, Debug)]
+pub struct Panorama {
+    picture: RgbImage,
+    up: Vec3,
+    forward: Vec3,
+}
+
+impl Panorama {
+    /// Decodes what [`encode_sky_equirectangular`] made.
+    ///
+    /// # Errors
+    /// When the bytes are no JPEG.
+    pub fn decode(jpeg: &[u8], up: Vec3, forward: Vec3) -> Result<Self, Problem> {
+        let picture = image::load_from_memory_with_format(jpeg, ImageFormat::Jpeg)?.to_rgb8();
+        Ok(Self { picture, up, forward })
+    }
+
+    /// RGB (0..=1) in a direction, bilinear.
+    pub fn colour(&self, direction: Vec3) -> [f32; 3] {
+        let right = self.forward.cross(self.up);
+        let (width, height) = (self.picture.width(), self.picture.height());
+        let polar = direction.normalize_or_zero().dot(self.up).clamp(-1.0, 1.0).acos() / PI;
+        let round = direction.dot(right).atan2(direction.dot(self.forward)) / (2.0 * PI) + 0.5;
+        let (x, y) = (round * width as f32 - 0.5, polar * height as f32 - 0.5);
+        let texel = |dx: f32, dy: f32| {
+            let column = (x.floor() + dx).rem_euclid(width as f32) as u32;
+            let row = (y.floor() + dy).clamp(0.0, height as f32 - 1.0) as u32;
+            Vec3::from(self.picture.get_pixel(column.min(width - 1), row).0.map(f32::from)) / 255.0
+        };
+        let (u, v) = (x - x.floor(), y - y.floor());
+        let top = texel(0.0, 0.0).lerp(texel(1.0, 0.0), u);
+        top.lerp(texel(0.0, 1.0).lerp(texel(1.0, 1.0), u), v).to_array()
+    }
+}
+
+/// Face and pixel that a direction meets (OpenGL 4.6 specification, table 8.19).
+fn face_pixel(d: Vec3, face_size: usize) -> (usize, [u32; 2]) {
+    let size = d.abs();
+    let (face, s, t, major) = if size.x >= size.y && size.x >= size.z {
+        (0, -d.z * d.x.signum(), -d.y, d.x)
+    } else if size.y >= size.z {
+        (2, d.x, d.z * d.y.signum(), d.y)
+    } else {
+        (4, d.x * d.z.signum(), -d.y, d.z)
+    };
+    let pixel = |c: f32| ((0.5 + 0.5 * c / major.abs()) * face_size as f32).min(face_size as f32 - 1.0);
+    (face + usize::from(major < 0.0), [s, t].map(|c| pixel(c) as u32))
 }
 
 fn faces(face_size: usize, texels: &[f32]) -> Result<Vec<RgbImage>, Problem> {

@@ -1,0 +1,14 @@
+//! Gaussians for viewers that do not compensate the opacity of small splats.
+//!
+//! Everything here trains with the compensation of Mip-Splatting (Yu et al. 2024): a splat that is thinner than the pixel
+//! filter is drawn with less opacity, by `sqrt(det S / det (S + 0.3 I))` in pixels. Ordinary viewers draw it with its full
+//! opacity, so that thin Gaussians seen edge on cover what lies behind them. The factor depends on the view, therefore no
+//! single opacity is exact. Two steps come near: [`conserve_weight`] gives each Gaussian the opacity with which its blending
+//! weight, summed over all views, stays what it was; [`finetune`] then fits opacities, scales and colours to the photographs
+//! by plain rasterization.
+
+mod finetune;
+mod weight;
+
+pub use finetune::{FinetuneConfig, finetune};
+pub use weight::conserve_weight;

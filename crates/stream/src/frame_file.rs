@@ -1,0 +1,106 @@
+//! One frame's file: a head, sections, and a checksum of everything before it; little-endian.
+
+use crate::error::Problem;
+
+const MAGIC: &[u8; 4] = b"FF4D";
+/// Of the format; a reader refuses others.
+pub(crate) const VERSION: u32 = 1;
+const HEAD: usize = 8;
+const CHECKSUM: usize = 4;
+
+/// What a section holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Tag {
+    /// All of the static layer.
+    StaticKey,
+    /// Changes of the static layer's colours.
+    StaticColours,
+    /// All of the dynamic layer.
+    DynamicKey,
+    /// Motion of groups, deaths, changes and births.
+    DynamicChange,
+    /// How well each dynamic position is known.
+    Uncertainty,
+    /// The sky, an equirectangular JPEG.
+    Sky,
+}
+
+impl Tag {
+    const ALL: [(Self, [u8; 4]); 6] = [
+        (Self::StaticKey, *b"STAT"),
+        (Self::StaticColours, *b"SCOL"),
+        (Self::DynamicKey, *b"DKEY"),
+        (Self::DynamicChange, *b"DMOV"),
+        (Self::Uncertainty, *b"DUNC"),
+        (Self::Sky, *b"SKYE"),
+    ];
+
+    fn bytes(self) -> [u8; 4] {
+        Self::ALL.iter().find(|(tag, _)| *tag == self).map_or([0; 4], |(_, bytes)| *bytes)
+    }
+}
+
+/// Head, sections and checksum.
+pub(crate) fn encode(sections: &[(Tag, Vec<u8>)]) -> Vec<u8> {
+    let mut out = Vec::new();
+    out.extend(MAGIC);
+    out.extend(VERSION.to_le_bytes());
+    for (tag, payload) in sections {
+        out.extend(tag.bytes());
+        out.extend((payload.len() as u32).to_le_bytes());
+        out.extend(payload);
+    }
+    out.extend(crc32fast::hash(&out).to_le_bytes());
+    out
+}
+
+/// The sections of a file whose checksum is right. Those with unknown names are passed over.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Vec<(Tag, &[u8])>, Problem> {
+    let short = || Problem::Corrupt("cut off".into());
+    let (body, checksum) = bytes.split_last_chunk::<CHECKSUM>().ok_or_else(short)?;
+    let (head, mut rest) = body.split_first_chunk::<HEAD>().ok_or_else(short)?;
+    if !head.starts_with(MAGIC) {
+        return Err(Problem::Corrupt("not a frame of a stream".into()));
+    }
+    let found = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
+    if found != VERSION {
+        return Err(Problem::Version { found, known: VERSION });
+    }
+    if crc32fast::hash(body).to_le_bytes() != *checksum {
+        return Err(Problem::Corrupt("the checksum differs".into()));
+    }
+    let mut out = Vec::new();
+    while let Some((head, tail)) = rest.split_first_chunk::<8>() {
+        let length = u32::from_le_bytes([head[4], head[5], head[6], head[7]]) as usize;
+        let (payload, tail) = tail.split_at_checked(length).ok_or_else(short)?;
+        let known = Tag::ALL.iter().find(|(_, bytes)| bytes == &head[..4]);
+        out.extend(known.map(|(tag, _)| (*tag, payload)));
+        rest = tail;
+    }
+    if rest.is_empty() { Ok(out) } else { Err(short()) }
+}
+
+/// Splits a number of four bytes off.
+pub(crate) fn take_u32(bytes: &mut &[u8]) -> Result<u32, Problem> {
+    let (head, rest) =
+        bytes.split_first_chunk::<4>().ok_or_else(|| Problem::Corrupt("a section ends early".into()))?;
+    *bytes = rest;
+    Ok(u32::from_le_bytes(*head))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sections_come_back_and_a_changed_byte_is_seen() {
+        let bytes = encode(&[(Tag::Sky, vec![1, 2, 3]), (Tag::DynamicKey, Vec::new())]);
+        assert_eq!(decode(&bytes).unwrap(), [(Tag::Sky, &[1, 2, 3][..]), (Tag::DynamicKey, &[])]);
+        for i in 0..bytes.len() {
+            let mut bad = bytes.clone();
+            bad[i] ^= 1;
+            assert!(decode(&bad).is_err(), "byte {i}");
+            assert!(decode(&bytes[..i]).is_err(), "{i} bytes");
+        }
+    }
+}
