@@ -44,7 +44,7 @@ enum Command {
     /// Reconstruct a capture and write its report (the sample capture by default).
     #[command(after_help = PIPELINE_HELP)]
     Pipeline {
-        /// [CAPTURE] [--out DIR] and any option of `ffgs run`; a capture must come first.
+        /// CAPTURE, --out DIR and any option of `ffgs run`; a capture, where given, comes first.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         args: Vec<String>,
     },

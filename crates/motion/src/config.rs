@@ -83,7 +83,7 @@ pub struct AssociationConfig {
     /// through less moves with what hides it. 1e-4 = as far as is rendered.
     #[serde(deserialize_with = "transmittance")]
     pub min_transmittance: f32,
-    /// Gaussians that each pixel counts for, the heaviest, at most [`MAX_CONTRIBUTORS`]; 0 = all.
+    /// Gaussians that each pixel counts for, the heaviest, at most `MAX_CONTRIBUTORS`; 0 = all.
     #[serde(deserialize_with = "contributors")]
     pub contributors: usize,
     /// Whether what cannot be in a view's image at t is left unobserved there.

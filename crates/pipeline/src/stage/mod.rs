@@ -22,7 +22,7 @@ use std::path::Path;
 /// A stage that runs alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Stage {
-    /// Tracks to a dense motion field: src, tgt (N,2), visibility (N), size [H,W], k, sigma -> flow, visibility,
+    /// Tracks to a dense motion field: src, tgt (N,2), visibility (N), size (H,W), k, sigma -> flow, visibility,
     /// confidence. Pixel centres at whole numbers (Algorithm 2)
     Voronoi,
     /// Agreement between trackers: flow (L,H,W,2), confidence (L,H,W), magnitude_floor (px) -> confidence
