@@ -24,7 +24,7 @@ pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
 pub use mask::Mask;
 pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};
-pub use scene::{Dynamic, Scene};
+pub use scene::{Dynamic, Knowledge, Scene};
 pub use sky_cube::SkyCube;
 pub use spatial_order::spatial_order;
 pub use stage_log::{Seconds, StageLog};

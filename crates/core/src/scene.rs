@@ -37,14 +37,33 @@ pub struct Dynamic {
     pub ids: Vec<u32>,
     /// The first id that no Gaussian ever had.
     pub next_id: u32,
+    /// What the photographs so far tell of the other parameters.
+    pub knowledge: Knowledge,
+}
+
+/// What photographs tell of the parameters of a layer, and how long that holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Knowledge {
+    /// Information (inverse variance) of every parameter but the positions, shaped like the Gaussians; turns about the
+    /// body's axes (1/rad^2) in the last three values of a quaternion. Empty when nothing is known.
+    pub information: Gaussians,
+    /// Variance gained from frame to frame: turns (rad^2), log scales, opacity logits, SH coefficient 0, the others; zeros
+    /// before the first frame.
+    pub drift: [f64; 5],
+    /// Standard deviation of a channel of a pixel, and how many values share one error.
+    pub noise: [f64; 2],
 }
 
 impl Dynamic {
-    /// Gives an id to every Gaussian appended since the last call.
+    /// Gives an id to every Gaussian appended since the last call; nothing is known of it yet.
     pub fn number_new(&mut self) {
         let new = self.gaussians.len().saturating_sub(self.ids.len()) as u32;
         self.ids.extend(self.next_id..self.next_id + new);
         self.next_id += new;
+        let known = &mut self.knowledge.information;
+        if !known.is_empty() {
+            known.extend(&Gaussians::zeros(self.gaussians.len() - known.len(), known.sh_degree()));
+        }
     }
 
     /// The last steps (m), if there are any.

@@ -91,8 +91,6 @@ pub struct FusionConfig {
     pub rigid: StructureConfig,
     /// Settings of the rigid groups.
     pub groups: GroupsConfig,
-    /// Share of the last position covariance that is still there after finetuning; only with structure.
-    pub carry: f64,
 }
 
 impl Default for FusionConfig {
@@ -105,7 +103,6 @@ impl Default for FusionConfig {
             structure: Structure::default(),
             rigid: StructureConfig::default(),
             groups: GroupsConfig::default(),
-            carry: 1.0,
         }
     }
 }

@@ -133,7 +133,7 @@ impl InformationFuser {
         }
         let covariance = information.inverse();
         let mean = prior.mean + covariance * vector;
-        let carried = input.prior_covariances[i] * self.config.carry;
+        let carried = input.prior_covariances[i];
         if mean.is_finite() && covariance.is_finite() {
             State { mean, covariance: DMat3::from(covariance) + carried }
         } else {

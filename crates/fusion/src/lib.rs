@@ -47,7 +47,7 @@ mod votes;
 
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
-pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance};
+pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance, symmetric_inverse};
 pub use groups::{Group, GroupsConfig, spatial_objects};
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use rigid::{RigidMotion, fit_rigid};

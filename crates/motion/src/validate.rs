@@ -35,6 +35,9 @@ pub(crate) fn validate_positions(
     dynamic.gaussians = dynamic.gaussians.select(&kept);
     dynamic.covariances = kept.iter().map(|&i| dynamic.covariances[i]).collect();
     dynamic.steps = kept.iter().map(|&i| means[i] - input.previous[i]).collect();
+    if !dynamic.knowledge.information.is_empty() {
+        dynamic.knowledge.information = dynamic.knowledge.information.select(&kept);
+    }
     dynamic.ids = kept.iter().map(|&i| dynamic.ids[i]).collect();
     log.since("validation", start);
     Ok(())

@@ -90,6 +90,11 @@ impl<'a> Lanes<'a> {
         match self.gpu(0) {
             None => ffgs_trainer::train_dynamic(config, views, around, layer, seed, report),
             Some(gpu) => {
+                if around.prior.is_some() {
+                    tracing::warn!(
+                        "the GPU's dynamic lane does not use what earlier frames know (dynamic.prior_weight)"
+                    );
+                }
                 ffgs_trainer_gpu::train_dynamic(gpu, config, views, around, layer, seed, report)?;
             }
         }

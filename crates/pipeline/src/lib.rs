@@ -11,6 +11,7 @@ pub mod eval;
 pub mod export;
 mod export_stream;
 pub mod frame;
+mod knowledge;
 mod lanes;
 pub mod manifest;
 mod measure;

@@ -6,6 +6,7 @@ use crate::config::Config;
 use crate::console::Console;
 use crate::device::{self, Device};
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
+use crate::knowledge::{self, Predicted};
 use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
 use crate::method::{MethodChoice, Parts};
@@ -26,7 +27,7 @@ use ffgs_motion::pixel_sizes;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
 use ffgs_splats::RenderMode::Mip;
 use ffgs_splats::Tracked;
-use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, StaticLane, Surroundings, from_points, shows_sky};
+use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, Prior, StaticLane, Surroundings, from_points, shows_sky};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -203,29 +204,36 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let mut views = load_training(&*self.capture, &self.views, frame)?;
-        let scene = if let Some(run) = &self.request.first_frame {
+        let mut views = self.all_views(frame)?;
+        let count = self.views.selected.len();
+        let mut scene = if let Some(run) = &self.request.first_frame {
             state::load(&RunFolder(run.clone()).state(frame))
                 .context("--first-frame: not a run of this capture")?
         } else {
-            let count = views.len();
-            if frame == 0 {
-                for view in 0..self.capture.views(Split::Init).len() {
-                    views.push(load_view(&*self.capture, ViewAt { split: Split::Init, view, frame })?);
-                }
-            }
             record.log.since("load", start);
             let trained = self.train_all(&views, console)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
-            let scene = self.split(&trained.gaussians, sky, &views[..count], &views)?;
-            views.truncate(count);
-            scene
+            self.split(&trained.gaussians, sky, &views[..count], &views)?
         };
+        if scene.dynamic.knowledge.information.is_empty() {
+            knowledge::learn(&mut scene, None, &views);
+        }
+        views.truncate(count);
         method.begin(&scene).with_context(|| self.named("first frame"))?;
         record.log.since("wall", start);
         let truths = load_tests(&*self.capture, frame)?;
         let record = self.finish(frame, &scene, &truths, method, FramePictures::default(), record)?;
         Ok((Last { scene, views }, record))
+    }
+
+    /// The training views, and after them those that only frame 0 has.
+    fn all_views(&self, frame: usize) -> Result<Vec<TrainingView>> {
+        let mut views = load_training(&*self.capture, &self.views, frame)?;
+        let more = if frame == 0 { self.capture.views(Split::Init).len() } else { 0 };
+        for view in 0..more {
+            views.push(load_view(&*self.capture, ViewAt { split: Split::Init, view, frame })?);
+        }
+        Ok(views)
     }
 
     fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
@@ -298,8 +306,13 @@ impl<'a> Job<'a> {
         let truths = load_tests(&*self.capture, frame)?;
         record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.lanes())?;
         let measuring = measuring.elapsed().as_secs_f64();
+        let predicted = Predicted::new(&scene, &self.config().dynamic);
+        let known = predicted.as_ref().map(Predicted::prior);
         match method.finetune(&step, &mut scene, log).with_context(|| self.named("finetuning"))? {
-            Finetuning::ByLanes => self.finetune(frame, &mut scene, static_lane, &now, console, log)?,
+            Finetuning::ByLanes => {
+                self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
+                knowledge::learn(&mut scene, predicted.as_ref(), &now);
+            }
             Finetuning::Done => {}
         }
         log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
@@ -312,7 +325,7 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         scene: &mut Scene,
-        static_lane: &mut StaticLane,
+        (static_lane, prior): (&mut StaticLane, Option<Prior>),
         views: &[TrainingView],
         console: &Console,
         log: &mut StageLog,
@@ -320,7 +333,7 @@ impl<'a> Job<'a> {
         let (config, lanes) = (self.config(), self.lanes());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
         let (static_start, sky_start) = (scene.static_layer.clone(), scene.sky.clone());
-        let around = Surroundings { static_layer: &static_start, sky: &sky_start };
+        let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, dynamic, sky } = scene;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
         let static_bar = console.lane("static", config.background.static_passes());

@@ -1,8 +1,9 @@
 //! The exact state after a frame, from which a run goes on.
 
 use anyhow::{Result, bail};
-use ffgs_core::{Dynamic, Scene, SkyCube};
+use ffgs_core::{Dynamic, Knowledge, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Writes the state atomically.
@@ -18,9 +19,20 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_steps: scene.dynamic.steps.clone(),
         dynamic_ids: scene.dynamic.ids.clone(),
         next_id: scene.dynamic.next_id,
+        dynamic_information: scene.dynamic.knowledge.information.clone(),
+        reals: reals(&scene.dynamic.knowledge),
         ..FrameState::default()
     };
     Ok(save_checkpoint(path, &state)?)
+}
+
+/// Names of the drifts and of the noise among a state's numbers.
+const DRIFT: [&str; 5] = ["drift turns", "drift log scales", "drift opacities", "drift sh0", "drift sh rest"];
+const NOISE: [&str; 2] = ["noise sigma", "noise correlated"];
+
+fn reals(knowledge: &Knowledge) -> BTreeMap<String, f64> {
+    let drift = DRIFT.iter().zip(knowledge.drift);
+    drift.chain(NOISE.iter().zip(knowledge.noise)).map(|(name, value)| ((*name).to_owned(), value)).collect()
 }
 
 /// Reads a state.
@@ -37,6 +49,12 @@ pub fn load(path: &Path) -> Result<Scene> {
     }
     let mut sky = SkyCube::filled(state.sky_face_size, [0.0; 3]);
     sky.texels = texels;
+    let real = |name: &&str| state.reals.get(*name).copied().unwrap_or(0.0);
+    let knowledge = Knowledge {
+        information: state.dynamic_information,
+        drift: DRIFT.each_ref().map(real),
+        noise: NOISE.each_ref().map(real),
+    };
     let dynamic = Dynamic {
         gaussians: state.dynamic_layer,
         covariances: state.dynamic_covariances,
@@ -44,6 +62,7 @@ pub fn load(path: &Path) -> Result<Scene> {
         steps: state.dynamic_steps,
         ids: state.dynamic_ids,
         next_id: state.next_id,
+        knowledge,
     };
     Ok(Scene { static_layer: state.static_layer, dynamic, sky })
 }

@@ -31,6 +31,7 @@ mod cpu;
 mod elementary;
 mod footprint;
 mod gradients;
+mod information;
 mod projection;
 mod projection_backward;
 mod spherical_harmonics;
@@ -45,6 +46,7 @@ pub use contract::{Background, DifferentiableRasterizer, Rasterizer, RenderOptio
 pub use cpu::CpuRasterizer;
 pub use footprint::FootprintSums;
 pub use gradients::{Gradients, PixelGradients};
+pub use information::Information;
 pub use spherical_harmonics::basis as sh_basis;
 pub use split::{SplitLayers, TileDepths};
 pub use tape::RenderTape;

@@ -247,7 +247,7 @@ fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
     let sky = SkyCube::filled(8, SKY);
     let views = photographs(&joint(&moving, &around), &moving);
     let start = perturbed(&moving, 8);
-    let surroundings = Surroundings { static_layer: &around, sky: &sky };
+    let surroundings = Surroundings { static_layer: &around, sky: &sky, prior: None };
     let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
     let (mut cpu, mut found) = (start.clone(), start.clone());
     ffgs_trainer::train_dynamic(&config, &views, surroundings, &mut cpu, 9, &mut |_| {});
@@ -330,7 +330,7 @@ fn assert_lanes_fail_cleanly(gpu: &Gpu, is_expected: fn(&GpuError) -> bool) {
     let sky = SkyCube::filled(8, SKY);
     let views = photographs(&joint(&moving, &around), &moving);
     let config = DynamicLaneConfig { iterations: 40, ..DynamicLaneConfig::default() };
-    let surroundings = Surroundings { static_layer: &around, sky: &sky };
+    let surroundings = Surroundings { static_layer: &around, sky: &sky, prior: None };
     let mut layer = moving.clone();
     let error =
         train_dynamic(gpu, &config, &views, surroundings, &mut layer, 9, &mut |_| {}).expect_err("a fault");

@@ -5,6 +5,8 @@
 //! the dilated mask.
 
 use crate::background::SkyBehind;
+use crate::loss::SSIM_WEIGHT;
+use crate::prior::{Penalty, Prior};
 use crate::schedule::{Epochs, decay};
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
@@ -41,6 +43,11 @@ pub struct DynamicLaneConfig {
     pub loss_dilation: usize,
     /// Weight of the mean alpha outside the mask: keeps floaters away.
     pub outside_alpha: f32,
+    /// Weight of what earlier frames know; 1 = as their information says, 0 = nothing is kept.
+    pub prior_weight: f32,
+    /// Least change of a parameter from frame to frame (standard deviation): turns (rad), log scales, opacity logits, SH
+    /// coefficient 0, the others.
+    pub drift: [f64; 5],
 }
 
 impl Default for DynamicLaneConfig {
@@ -56,6 +63,8 @@ impl Default for DynamicLaneConfig {
             sh_rest_rate: 1.25e-4,
             loss_dilation: 1,
             outside_alpha: 0.05,
+            prior_weight: 1.0,
+            drift: [0.02, 0.04, 0.1, 0.04, 0.02],
         }
     }
 }
@@ -81,6 +90,8 @@ pub struct Surroundings<'a> {
     pub static_layer: &'a Gaussians,
     /// The sky.
     pub sky: &'a SkyCube,
+    /// What is known of the dynamic layer; `None` = nothing.
+    pub prior: Option<Prior<'a>>,
 }
 
 /// Pixels around the mask whose tiles are computed: a splat that leaves the mask must still be seen there.
@@ -116,8 +127,11 @@ pub fn train_dynamic(
         return;
     }
     let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
-    let cached = Cache::new(config, rasterizer, surroundings, dynamic).views(views);
+    let mut cache = Cache::new(config, rasterizer, surroundings, dynamic);
+    let cached = cache.views(views);
+    let seen = cache.seen;
     let mut lane = Lane::new(config, &cached, rasterizer, dynamic);
+    lane.penalty_of_change = surroundings.prior.map(|prior| Penalty::new(prior, dynamic, seen));
     let mut epochs = Epochs::new((0..cached.len()).collect(), seed);
     for iteration in 0..config.iterations {
         let Some(index) = epochs.draw() else { return };
@@ -135,6 +149,8 @@ struct Cache<'a> {
     tape: RenderTape,
     sky: SkyBehind,
     layers: SplitLayers,
+    /// Views that see each Gaussian.
+    seen: Vec<u32>,
 }
 
 impl<'a> Cache<'a> {
@@ -145,11 +161,12 @@ impl<'a> Cache<'a> {
         dynamic: &'a Gaussians,
     ) -> Self {
         let (tape, sky, layers) = (RenderTape::default(), SkyBehind::new(), SplitLayers::default());
-        Self { config, rasterizer, around, dynamic, tape, sky, layers }
+        let seen = vec![0; dynamic.len()];
+        Self { config, rasterizer, around, dynamic, tape, sky, layers, seen }
     }
 
     /// Those with foreground.
-    fn views(mut self, views: &[TrainingView]) -> Vec<CachedView<'_>> {
+    fn views<'v>(&mut self, views: &'v [TrainingView]) -> Vec<CachedView<'v>> {
         views.iter().filter(|v| v.mask.count() > 0).map(|v| self.view(v)).collect()
     }
 
@@ -159,6 +176,7 @@ impl<'a> Cache<'a> {
         let background = Background::Image(self.sky.render(self.around.sky, camera));
         let frame = View { camera, background, tiles: Some(&tiles) };
         self.rasterizer.render(self.dynamic, &frame, &mut self.tape);
+        self.tape.visible_indices().for_each(|i| self.seen[i] += 1);
         let depths = TileDepths::nearest(&self.tape);
         let layers = &mut self.layers;
         self.rasterizer.render_split(self.around.static_layer, &frame, &depths, &mut self.tape, layers);
@@ -214,6 +232,7 @@ struct Lane<'a> {
     behind: PlanarImage,
     /// Derivative of the alpha penalty with respect to transmittance, likewise.
     penalty: Vec<f32>,
+    penalty_of_change: Option<Penalty<'a>>,
 }
 
 impl<'a> Lane<'a> {
@@ -238,6 +257,7 @@ impl<'a> Lane<'a> {
             pixel_gradient: PlanarImage::zeros(size),
             behind: PlanarImage::zeros(size),
             penalty: Vec::new(),
+            penalty_of_change: None,
         }
     }
 
@@ -257,6 +277,11 @@ impl<'a> Lane<'a> {
         self.gradients.reset(dynamic.len(), dynamic.sh_degree());
         let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: Some(&self.penalty) };
         self.rasterizer.backward(dynamic, &frame, &mut self.tape, &upstream, &mut self.gradients);
+        if let Some(penalty) = &self.penalty_of_change {
+            let pixels = cached.region.count();
+            let l1_share = 1.0 - SSIM_WEIGHT as f32;
+            penalty.add(dynamic, l1_share, pixels, &mut self.gradients);
+        }
         let touched = Update::Touched(&self.gradients.touched);
         self.adam.step(
             dynamic,

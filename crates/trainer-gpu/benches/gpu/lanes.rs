@@ -20,7 +20,7 @@ pub fn dynamic(gpu: &Gpu, percent: u32, rows: &mut Rows) -> Result<()> {
     let views: Vec<TrainingView> =
         [-0.2, 0.0, 0.2].map(|x| training_view(&all, camera(SIZE, x), mask.clone())).into();
     let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
-    let around = Surroundings { static_layer: &still, sky: &sky };
+    let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
     let mut failed: Option<GpuError> = None;
     let seconds = rows.time(|| {
         let mut layer = moving.clone();

@@ -26,7 +26,7 @@ pub fn dynamic(c: &mut Criterion) {
         let blended: u64 = views.iter().map(|v| contributions(&moving, &v.camera, Some(&tiles), true)).sum();
         group.throughput(Throughput::Elements(blended * STEPS as u64 / views.len() as u64));
         let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
-        let around = Surroundings { static_layer: &still, sky: &sky };
+        let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
         for threads in [1, 2] {
             let pool = pool(threads);
             group.bench_function(BenchmarkId::new(format!("{percent}%"), format!("{threads}t")), |b| {

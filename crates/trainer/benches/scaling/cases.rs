@@ -149,7 +149,7 @@ impl Case {
         let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
         drop(all);
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
-        let around = Surroundings { static_layer: &still, sky: &sky };
+        let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
         memory::restart_peak();
         let mut clock = Clock::start();
         train_dynamic(&config, views, around, &mut moving, 1, &mut |_| clock.tick());

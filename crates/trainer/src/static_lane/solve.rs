@@ -27,11 +27,11 @@ pub(super) fn solve(
         let background = behind.render(sky, &view.camera);
         residual(view, layer, background, config.mask_dilation, &mut tape)
     };
-    let residuals: Vec<Vec<Vec3>> = views.iter().map(&mut residual).collect();
+    let residuals: Vec<Residual> = views.iter().map(&mut residual).collect();
     drop((tape, behind));
     let system = System::new(config, traces, &residuals, layer);
     let mut running = Running::default();
-    let counted = residuals.iter().flatten().filter(|r| **r != Vec3::ZERO).count().max(1) as f64 * 3.0;
+    let counted = residuals.iter().map(Residual::count).sum::<usize>().max(1) as f64 * 3.0;
     let change = system.conjugate_gradients(config.solve_iterations, |iteration, squares| {
         running.add(squares / counted, squares / counted);
         report(running.progress(iteration, config.solve_iterations, layer.len()));
@@ -42,26 +42,40 @@ pub(super) fn solve(
     }
 }
 
-/// Photograph minus render per pixel; zero at and around the foreground.
+/// Photograph minus render of one view.
+struct Residual {
+    /// (pixels) zero at and around the foreground.
+    values: Vec<Vec3>,
+    /// (pixels) the others. An error of exactly zero counts too: the sky at night fits to the bit.
+    counted: Vec<bool>,
+}
+
+impl Residual {
+    fn count(&self) -> usize {
+        self.counted.iter().filter(|c| **c).count()
+    }
+}
+
 fn residual(
     view: &TrainingView,
     layer: &Gaussians,
     behind: &PlanarImage,
     dilation: usize,
     tape: &mut RenderTape,
-) -> Vec<Vec3> {
+) -> Residual {
     let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
     CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
     let (photo, region) = (&view.image, outside(view, dilation));
     let difference = |p: usize| Vec3::from(photo.pixel(p)) - Vec3::from(tape.image().pixel(p));
-    let counted = |p: usize| if region.data()[p] == 0 { Vec3::ZERO } else { difference(p) };
-    (0..photo.size().pixels()).map(counted).collect()
+    let counted: Vec<bool> = region.data().iter().map(|&inside| inside != 0).collect();
+    let value = |(p, &counts): (usize, &bool)| if counts { difference(p) } else { Vec3::ZERO };
+    Residual { values: counted.iter().enumerate().map(value).collect(), counted }
 }
 
 /// The normal equations, never formed: `(A^T A + ridge) x = A^T r`. Vectors are (N, coefficients) of RGB.
 struct System<'a> {
     traces: &'a [ViewTrace],
-    residuals: &'a [Vec<Vec3>],
+    residuals: &'a [Residual],
     gaussians: usize,
     coefficients: usize,
     /// Where each view's seen Gaussians start in columns over (view, seen).
@@ -77,7 +91,7 @@ impl<'a> System<'a> {
     fn new(
         config: &BackgroundConfig,
         traces: &'a [ViewTrace],
-        residuals: &'a [Vec<Vec3>],
+        residuals: &'a [Residual],
         layer: &Gaussians,
     ) -> Self {
         let coefficients = sh_coefficients(config.solve_degree.min(layer.sh_degree()));
@@ -159,7 +173,7 @@ impl<'a> System<'a> {
     /// `(A^T A + ridge) x`.
     fn apply(&self, x: &[Vec3]) -> Vec<Vec3> {
         let counted = |v: usize, pixel: usize, sum: Vec3| {
-            if self.residuals[v][pixel] == Vec3::ZERO { Vec3::ZERO } else { sum }
+            if self.residuals[v].counted[pixel] { sum } else { Vec3::ZERO }
         };
         let mut out = self.transpose(&self.colours(x), counted);
         for (out, x) in out.chunks_exact_mut(self.coefficients).zip(x.chunks_exact(self.coefficients)) {
@@ -174,7 +188,7 @@ impl<'a> System<'a> {
         let mut squares: Vec<f32> = Vec::with_capacity(self.answers.len());
         for (v, trace) in self.traces.iter().enumerate() {
             let mut part = vec![0.0; trace.seen.len()];
-            for pixel in (0..trace.pixels()).filter(|&p| self.residuals[v][p] != Vec3::ZERO) {
+            for pixel in (0..trace.pixels()).filter(|&p| self.residuals[v].counted[p]) {
                 trace.of(pixel).iter().for_each(|&(at, w)| part[at as usize] += w * w);
             }
             squares.extend(part);
@@ -194,10 +208,13 @@ impl<'a> System<'a> {
     /// residuals by the model)`.
     fn conjugate_gradients(&self, iterations: usize, mut report: impl FnMut(usize, f64)) -> Vec<Vec3> {
         let zero = vec![Vec3::ZERO; self.answers.len()];
-        let right = self.transpose(&zero, |v, pixel, _| self.residuals[v][pixel]);
+        let right = self.transpose(&zero, |v, pixel, _| self.residuals[v].values[pixel]);
         let diagonal = self.diagonal();
-        let mut squares: f64 =
-            self.residuals.iter().map(|v| v.iter().map(|r| f64::from(r.length_squared())).sum::<f64>()).sum();
+        let mut squares: f64 = self
+            .residuals
+            .iter()
+            .map(|v| v.values.iter().map(|r| f64::from(r.length_squared())).sum::<f64>())
+            .sum();
         let mut x = vec![Vec3::ZERO; right.len()];
         let mut r = right;
         let mut direction: Vec<Vec3> = r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect();
@@ -267,6 +284,7 @@ mod tests {
 
     fn residual_of(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> Vec<Vec3> {
         residual(view, layer, SkyBehind::new().render(sky, &view.camera), 0, &mut RenderTape::default())
+            .values
     }
 
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
@@ -353,9 +371,13 @@ mod tests {
         let (layer, _, views) = wall();
         let config = BackgroundConfig::default();
         let traces: Vec<ViewTrace> = views.iter().map(|v| ViewTrace::new(&v.camera, &layer, 16, 1)).collect();
-        let bright: Vec<Vec<Vec3>> =
-            views.iter().map(|v| vec![Vec3::ONE; v.camera.size().pixels()]).collect();
-        let system = System::new(&config, &traces, &bright, &layer);
+        // Nothing is off and every pixel counts: the system must not depend on the errors.
+        let exact = |v: &TrainingView| {
+            let pixels = v.camera.size().pixels();
+            Residual { values: vec![Vec3::ZERO; pixels], counted: vec![true; pixels] }
+        };
+        let exact: Vec<Residual> = views.iter().map(exact).collect();
+        let system = System::new(&config, &traces, &exact, &layer);
         let diagonal = system.diagonal();
         for entry in [0, 1, 4 * 300, 4 * 301 + 2, 4 * 599 + 3] {
             let mut unit = vec![Vec3::ZERO; diagonal.len()];

@@ -1,0 +1,87 @@
+//! What is known of the moving layer, from one frame to the next: predicted, used as the prior of the finetuning, and
+//! increased by what the frame's photographs tell (docs/over-time.md).
+
+use ffgs_core::{Gaussians, Knowledge, Scene, TrainingView};
+use ffgs_fusion::symmetric_inverse;
+use ffgs_rasterizer::Information;
+use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, information_gain};
+use glam::DMat3;
+
+/// What is known before a frame's photographs.
+pub struct Predicted {
+    information: Information,
+    noise: PixelNoise,
+    /// Where the finetuning starts.
+    start: Gaussians,
+    /// What was known before the drift.
+    known: Gaussians,
+    drift: Drift,
+    config: DynamicLaneConfig,
+}
+
+fn least(config: &DynamicLaneConfig) -> Drift {
+    Drift::from_array(config.drift.map(|deviation| deviation * deviation))
+}
+
+impl Predicted {
+    /// After the motion; `None` when nothing is known or asked for.
+    pub fn new(scene: &Scene, config: &DynamicLaneConfig) -> Option<Self> {
+        let Knowledge { information, drift, noise: [sigma, correlated] } = &scene.dynamic.knowledge;
+        if information.is_empty() || config.prior_weight == 0.0 {
+            return None;
+        }
+        let positions = scene.dynamic.covariances.iter().map(|&c| symmetric_inverse(c));
+        let positions = positions.map(|p| if p.is_finite() { p } else { DMat3::ZERO }).collect();
+        let least = least(config).to_array();
+        let drift = Drift::from_array([0, 1, 2, 3, 4].map(|k| drift[k].max(least[k])));
+        let others = drift.fade(information);
+        Some(Self {
+            information: Information { positions, others },
+            noise: PixelNoise { sigma: *sigma, correlated: *correlated },
+            start: scene.dynamic.gaussians.clone(),
+            known: information.clone(),
+            drift,
+            config: *config,
+        })
+    }
+
+    /// As the finetuning takes it.
+    pub fn prior(&self) -> Prior<'_> {
+        Prior { information: &self.information, noise: self.noise, weight: self.config.prior_weight }
+    }
+}
+
+/// Adds what `views` tell of the trained scene; `predicted` is what was known before, and where the training began.
+pub fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
+    if scene.dynamic.gaussians.is_empty() {
+        return;
+    }
+    let Gain { information, noise } = information_gain(&scene.joint(), &scene.sky, views);
+    let first = scene.static_layer.len();
+    let moving: Vec<usize> = (first..information.len()).collect();
+    let told = information.select(&moving);
+    let dynamic = &mut scene.dynamic;
+    for (covariance, told) in dynamic.covariances.iter_mut().zip(&told.positions) {
+        let joint = symmetric_inverse(symmetric_inverse(*covariance) + *told);
+        *covariance = if joint.is_finite() { joint } else { *covariance };
+    }
+    let mut drift = dynamic.knowledge.drift;
+    let mut known = told.others;
+    if let Some(predicted) = predicted {
+        let mut learnt = predicted.drift;
+        let ends = (&predicted.start, &dynamic.gaussians);
+        learnt.learn(least(&predicted.config), &predicted.known, &known, ends);
+        drift = learnt.to_array();
+        add(&mut known, &predicted.information.others);
+    }
+    tracing::debug!("pixels: {noise:?}; {drift:?}");
+    dynamic.knowledge = Knowledge { information: known, drift, noise: [noise.sigma, noise.correlated] };
+}
+
+fn add(sum: &mut Gaussians, more: &Gaussians) {
+    let add = |sum: &mut [f32], more: &[f32]| sum.iter_mut().zip(more).for_each(|(s, m)| *s += m);
+    add(sum.quats.as_flattened_mut(), more.quats.as_flattened());
+    add(sum.log_scales.as_flattened_mut(), more.log_scales.as_flattened());
+    add(&mut sum.opacity_logits, &more.opacity_logits);
+    add(sum.sh.as_flattened_mut(), more.sh.as_flattened());
+}

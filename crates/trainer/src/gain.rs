@@ -1,0 +1,169 @@
+//! What the photographs of a frame tell of every parameter, and how sure a pixel is.
+
+use crate::background::SkyBehind;
+use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, Rasterizer, RenderOptions, RenderTape, View};
+
+/// Longest distance at which errors of pixels are compared (px).
+const MAX_LAG: usize = 6;
+/// Correlation below which errors count as independent.
+const MIN_CORRELATION: f64 = 0.1;
+/// Standard deviation of a normal variable over its mean absolute value, `sqrt(pi / 2)`.
+const SIGMA_OF_ABSOLUTE: f64 = 1.253_314;
+/// Least standard deviation of a pixel: that of rounding to 8 bits.
+const MIN_NOISE: f64 = 0.29 / 255.0;
+
+/// How far pixels of a trained frame are off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelNoise {
+    /// Standard deviation of a channel of a foreground pixel (0..1).
+    pub sigma: f64,
+    /// Values (pixels times channels) that share one error: so many count as one.
+    pub correlated: f64,
+}
+
+/// What one frame tells.
+#[derive(Clone, Debug)]
+pub struct Gain {
+    /// Information of every parameter.
+    pub information: Information,
+    /// Noise it was made with.
+    pub noise: PixelNoise,
+}
+
+/// Passes over all views with all layers together. Foreground and background have each their own noise in every view, so
+/// that a camera that fits badly tells less.
+pub fn information_gain(gaussians: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> Gain {
+    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
+    let mut information = Information::none(gaussians.len(), gaussians.sh_degree());
+    let mut foreground = Vec::new();
+    for view in views {
+        let background = Background::Image(behind.render(sky, &view.camera));
+        let frame = View { camera: &view.camera, background, tiles: None };
+        rasterizer.render(gaussians, &frame, &mut tape);
+        let errors = Errors::new(view, tape.image());
+        foreground.extend(errors.noise(1).map(|noise| (noise, view.mask.count())));
+        rasterizer.add_information(gaussians, &frame, &tape, &errors.weights(), &mut information);
+    }
+    Gain { information, noise: mean_noise(&foreground) }
+}
+
+/// Mean over views, weighted by their foreground.
+fn mean_noise(views: &[(PixelNoise, usize)]) -> PixelNoise {
+    let pixels: f64 = views.iter().map(|v| v.1 as f64).sum();
+    let mean = |of: &dyn Fn(&PixelNoise) -> f64| views.iter().map(|v| of(&v.0) * v.1 as f64).sum::<f64>();
+    if views.is_empty() {
+        return PixelNoise { sigma: MIN_NOISE, correlated: 1.0 };
+    }
+    PixelNoise {
+        sigma: (mean(&|n| n.sigma.powi(2)) / pixels).sqrt(),
+        correlated: mean(&|n| n.correlated) / pixels,
+    }
+}
+
+/// Errors of a rendered view: photograph minus render.
+struct Errors<'a> {
+    size: ImageSize,
+    planes: PlanarImage,
+    mask: &'a [u8],
+}
+
+impl<'a> Errors<'a> {
+    fn new(view: &'a TrainingView, rendered: &PlanarImage) -> Self {
+        let mut planes = PlanarImage::from(&view.image);
+        planes.data_mut().iter_mut().zip(rendered.data()).for_each(|(e, r)| *e -= r);
+        Self { size: view.camera.size(), planes, mask: view.mask.data() }
+    }
+
+    /// Inverse variance of an independent value, pixel by pixel.
+    fn weights(&self) -> Vec<f32> {
+        let weight = |noise: PixelNoise| (1.0 / (noise.sigma.powi(2) * noise.correlated)) as f32;
+        let of = [0, 1].map(|region| self.noise(region).map_or(0.0, weight));
+        self.mask.iter().map(|&m| of[usize::from(m != 0)]).collect()
+    }
+
+    /// Noise outside (0) or inside (1) the mask; `None` without pixels.
+    fn noise(&self, region: u8) -> Option<PixelNoise> {
+        let inside = |p: usize| u8::from(self.mask[p] != 0) == region;
+        let count = (0..self.mask.len()).filter(|&p| inside(p)).count();
+        if count == 0 {
+            return None;
+        }
+        let squares: f64 = (0..3).map(|c| self.products(self.planes.plane(c), 0, &inside).0).sum();
+        let sizes = |c: usize| self.planes.plane(c).iter().enumerate().filter(|(p, _)| inside(*p));
+        let absolute: f64 = (0..3).map(|c| sizes(c).map(|(_, e)| f64::from(e.abs())).sum::<f64>()).sum();
+        let grey: Vec<f32> = (0..self.mask.len()).map(|p| self.planes.pixel(p).iter().sum()).collect();
+        let variance = self.products(&grey, 0, &inside).0;
+        let channels = variance / squares.max(f64::MIN_POSITIVE);
+        let along = |stride: usize| 1.0 + 2.0 * self.correlations(&grey, stride, &inside);
+        let correlated = (channels * along(1) * along(self.size.width)).max(1.0);
+        // Few pixels that the model cannot show must not hide what all others tell: the mean absolute error, not the square.
+        let sigma = (SIGMA_OF_ABSOLUTE * absolute / (3 * count) as f64).max(MIN_NOISE);
+        Some(PixelNoise { sigma, correlated })
+    }
+
+    /// Sum of the correlations with pixels one, two, ... strides away, until they are small.
+    fn correlations(&self, values: &[f32], stride: usize, inside: &impl Fn(usize) -> bool) -> f64 {
+        let own = self.products(values, 0, inside);
+        let mean = |(sum, count): (f64, usize)| sum / count.max(1) as f64;
+        let of =
+            |lag: usize| mean(self.products(values, lag * stride, inside)) / mean(own).max(f64::MIN_POSITIVE);
+        (1..=MAX_LAG).map(of).take_while(|&r| r > MIN_CORRELATION).sum()
+    }
+
+    /// Sum over the pixels of a region of products with the value so many places on, and their number.
+    fn products(&self, values: &[f32], distance: usize, inside: &impl Fn(usize) -> bool) -> (f64, usize) {
+        let pairs = (0..values.len().saturating_sub(distance)).filter(|&p| inside(p) && inside(p + distance));
+        pairs.fold((0.0, 0), |(sum, count), p| {
+            (sum + f64::from(values[p]) * f64::from(values[p + distance]), count + 1)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, Intrinsics, Mask};
+
+    const SIZE: ImageSize = ImageSize { width: 96, height: 64 };
+
+    /// A view whose photograph is 128 plus 8-bit noise that `of(pixel, channel)` gives, without foreground.
+    fn view(of: impl Fn(usize, usize) -> i32) -> TrainingView {
+        let intrinsics = Intrinsics { fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
+        let camera = Camera::new(intrinsics, glam::DMat4::IDENTITY, SIZE).unwrap();
+        let data = (0..3 * SIZE.pixels()).map(|i| (128 + of(i / 3, i % 3)) as u8).collect();
+        TrainingView { camera, image: ImageRgb8::new(SIZE, data).unwrap(), mask: Mask::filled(SIZE, false) }
+    }
+
+    /// White, -20 or 20.
+    fn white(i: usize) -> i32 {
+        let mut x = (i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        x ^= x >> 29;
+        x = x.wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        if (x >> 40) & 1 == 0 { -20 } else { 20 }
+    }
+
+    fn noise(view: &TrainingView) -> PixelNoise {
+        let mut flat = PlanarImage::zeros(SIZE);
+        flat.data_mut().fill(128.0 / 255.0);
+        Errors::new(view, &flat).noise(0).unwrap()
+    }
+
+    #[test]
+    fn as_many_values_count_as_one_as_share_an_error() {
+        let independent = noise(&view(|p, c| white(3 * p + c)));
+        assert!((independent.sigma - SIGMA_OF_ABSOLUTE * 20.0 / 255.0).abs() < 1e-3);
+        assert!((independent.correlated - 1.0).abs() < 0.15, "{independent:?}");
+        let grey = noise(&view(|p, _| white(p)));
+        assert!((grey.correlated - 3.0).abs() < 0.3, "{grey:?}");
+        // Blocks of 4 by 4 pixels: neighbours one, two, three on share it with probability 3/4, 1/2, 1/4.
+        let blocks = noise(&view(|p, _| white(p % 96 / 4 + 24 * (p / 96 / 4))));
+        assert!((blocks.correlated / 48.0).ln().abs() < 0.35, "{blocks:?}");
+    }
+
+    #[test]
+    fn a_frame_that_fits_to_the_bit_is_not_known_for_ever() {
+        assert!((noise(&view(|_, _| 0)).sigma - MIN_NOISE).abs() < 1e-9);
+    }
+}
