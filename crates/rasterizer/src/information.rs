@@ -50,6 +50,7 @@ impl Information {
     }
 
     /// What is known of the Gaussians at `indices`.
+    #[must_use]
     pub fn select(&self, indices: &[usize]) -> Self {
         Self {
             positions: indices.iter().map(|&i| self.positions[i]).collect(),
@@ -122,7 +123,7 @@ fn square_tiles(view: &View, tape: &RenderTape, weights: &[f32]) -> Vec<[f32; SU
 
 /// All that the pixels of a tile show, background included.
 fn shown(view: &View, grid: crate::tiles::TileGrid, tile: usize, pixels: &TilePixels) -> [TilePlane; 3] {
-    let mut out = pixels.rgb.clone();
+    let mut out = pixels.rgb;
     for_each_pixel(view.camera.size(), grid, tile, |pixel, local| {
         let background = view.background.pixel(pixel);
         let through = pixels.transmittance.0[local];
@@ -346,7 +347,7 @@ impl<'a> Shape<'a> {
     /// Of the position (1/m^2), through the projected mean.
     fn position(&self, ewa: &Ewa) -> DMat3 {
         let [_, xx, xy, yy, ..] = *self.sums;
-        let [x, y] = ewa.to_pixels.map(|row| DVec3::from(row.as_dvec3()));
+        let [x, y] = ewa.to_pixels.map(glam::Vec3::as_dvec3);
         let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
         outer(x, x) * xx + (outer(x, y) + outer(y, x)) * xy + outer(y, y) * yy
     }

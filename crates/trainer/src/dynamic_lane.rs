@@ -43,7 +43,8 @@ pub struct DynamicLaneConfig {
     pub loss_dilation: usize,
     /// Weight of the mean alpha outside the mask: keeps floaters away.
     pub outside_alpha: f32,
-    /// Weight of what earlier frames know; 1 = as their information says, 0 = nothing is kept.
+    /// Weight of what earlier frames know; 1 = as their information says, 0 = nothing is kept. The diagonal counts what
+    /// neighbours that overlap share as known of each, so it claims too much.
     pub prior_weight: f32,
     /// Least change of a parameter from frame to frame (standard deviation): turns (rad), log scales, opacity logits, SH
     /// coefficient 0, the others.
@@ -63,7 +64,7 @@ impl Default for DynamicLaneConfig {
             sh_rest_rate: 1.25e-4,
             loss_dilation: 1,
             outside_alpha: 0.05,
-            prior_weight: 1.0,
+            prior_weight: 0.1,
             drift: [0.02, 0.04, 0.1, 0.04, 0.02],
         }
     }

@@ -90,13 +90,13 @@ impl<'a> Errors<'a> {
         if count == 0 {
             return None;
         }
-        let squares: f64 = (0..3).map(|c| self.products(self.planes.plane(c), 0, &inside).0).sum();
+        let squares: f64 = (0..3).map(|c| Self::products(self.planes.plane(c), 0, &inside).0).sum();
         let sizes = |c: usize| self.planes.plane(c).iter().enumerate().filter(|(p, _)| inside(*p));
         let absolute: f64 = (0..3).map(|c| sizes(c).map(|(_, e)| f64::from(e.abs())).sum::<f64>()).sum();
         let grey: Vec<f32> = (0..self.mask.len()).map(|p| self.planes.pixel(p).iter().sum()).collect();
-        let variance = self.products(&grey, 0, &inside).0;
+        let variance = Self::products(&grey, 0, &inside).0;
         let channels = variance / squares.max(f64::MIN_POSITIVE);
-        let along = |stride: usize| 1.0 + 2.0 * self.correlations(&grey, stride, &inside);
+        let along = |stride: usize| 1.0 + 2.0 * Self::correlations(&grey, stride, &inside);
         let correlated = (channels * along(1) * along(self.size.width)).max(1.0);
         // Few pixels that the model cannot show must not hide what all others tell: the mean absolute error, not the square.
         let sigma = (SIGMA_OF_ABSOLUTE * absolute / (3 * count) as f64).max(MIN_NOISE);
@@ -104,16 +104,17 @@ impl<'a> Errors<'a> {
     }
 
     /// Sum of the correlations with pixels one, two, ... strides away, until they are small.
-    fn correlations(&self, values: &[f32], stride: usize, inside: &impl Fn(usize) -> bool) -> f64 {
-        let own = self.products(values, 0, inside);
+    fn correlations(values: &[f32], stride: usize, inside: &impl Fn(usize) -> bool) -> f64 {
+        let own = Self::products(values, 0, inside);
         let mean = |(sum, count): (f64, usize)| sum / count.max(1) as f64;
-        let of =
-            |lag: usize| mean(self.products(values, lag * stride, inside)) / mean(own).max(f64::MIN_POSITIVE);
+        let of = |lag: usize| {
+            mean(Self::products(values, lag * stride, inside)) / mean(own).max(f64::MIN_POSITIVE)
+        };
         (1..=MAX_LAG).map(of).take_while(|&r| r > MIN_CORRELATION).sum()
     }
 
     /// Sum over the pixels of a region of products with the value so many places on, and their number.
-    fn products(&self, values: &[f32], distance: usize, inside: &impl Fn(usize) -> bool) -> (f64, usize) {
+    fn products(values: &[f32], distance: usize, inside: &impl Fn(usize) -> bool) -> (f64, usize) {
         let pairs = (0..values.len().saturating_sub(distance)).filter(|&p| inside(p) && inside(p + distance));
         pairs.fold((0.0, 0), |(sum, count), p| {
             (sum + f64::from(values[p]) * f64::from(values[p + distance]), count + 1)
