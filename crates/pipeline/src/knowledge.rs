@@ -1,5 +1,5 @@
 //! What is known of the moving layer, from one frame to the next: predicted, used as the prior of the finetuning, and
-//! increased by what the frame's photographs tell (docs/over-time.md).
+//! increased by what the frame's photographs tell (docs/adr/0019-what-a-frame-knows-is-kept.md).
 
 use ffgs_core::{Gaussians, Knowledge, Scene, TrainingView};
 use ffgs_fusion::symmetric_inverse;
