@@ -390,7 +390,7 @@ mod tests {
 
     /// Derivatives of all pixels by central differences of a parameter.
     fn derivative(camera: &Camera, antialiased: bool, change: impl Fn(&mut Gaussians, f32)) -> Vec<f64> {
-        const STEP: f32 = 4e-3;
+        const STEP: f32 = 2e-2;
         let at = |side: f32| {
             let mut g = scene().0;
             change(&mut g, side * STEP);
@@ -416,9 +416,10 @@ mod tests {
         out
     }
 
-    /// Contributions under 1/255 begin and end at pixels, which differences see and derivatives do not.
+    /// Contributions under 1/255 begin and end at pixels, which differences see and derivatives do not: a pixel that does so
+    /// between two steps adds up to (1/255 / 0.04)^2 times its weight of 3, in three channels.
     fn assert_close(found: f64, want: f64, what: &str) {
-        assert!((found - want).abs() <= 0.04 * want.abs() + 0.02, "{what}: {found}, differences {want}");
+        assert!((found - want).abs() <= 0.05 * want.abs() + 0.1, "{what}: {found}, differences {want}");
     }
 
     /// After a turn by `angle` about a body axis.
