@@ -205,7 +205,7 @@ impl<'a> Job<'a> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let mut views = self.all_views(frame)?;
-        let count = self.views.selected.len();
+        let count = self.views.len();
         let mut scene = if let Some(run) = &self.request.first_frame {
             state::load(&RunFolder(run.clone()).state(frame))
                 .context("--first-frame: not a run of this capture")?
