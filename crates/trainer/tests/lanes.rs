@@ -87,7 +87,7 @@ fn world() -> World {
 
 impl World {
     fn around(&self) -> Surroundings<'_> {
-        Surroundings { static_layer: &self.fixed, sky: &self.sky }
+        Surroundings { static_layer: &self.fixed, sky: &self.sky, prior: None }
     }
 
     /// Mean squared error over the pixels in or outside the masks.
