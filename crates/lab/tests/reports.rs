@@ -2,10 +2,10 @@
 
 use ffgs_lab::evaluation::SourceArgs;
 use ffgs_lab::motion_eval::{self, MotionEvalArgs};
+use ffgs_pipeline::choice::MethodChoice;
 use ffgs_pipeline::cli::{FrameRange, LogArgs};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::method::MethodChoice;
 use ffgs_pipeline::record::{RunFolder, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;

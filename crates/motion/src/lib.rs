@@ -8,6 +8,7 @@ mod config;
 mod densify;
 mod fields;
 mod fuse;
+mod input;
 mod observe;
 mod on_gpu;
 mod standstill;
@@ -19,7 +20,8 @@ mod withdraw;
 
 pub use config::{AssociationConfig, MarkingConfig, MotionConfig, Rotate};
 pub use fuse::pixel_sizes;
+pub use input::MotionInput;
 pub use observe::observe;
 pub use standstill::Standstill;
-pub use tracker_motion::{MotionInput, TrackerMotion, move_by};
+pub use tracker_motion::{TrackerMotion, move_by};
 pub use turn::turned;

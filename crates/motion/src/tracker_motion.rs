@@ -1,6 +1,6 @@
-use crate::{MotionConfig, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
+use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Estimates, Gaussians, Observations, Scene, StageLog};
+use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
 use ffgs_gpu::Gpu;
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use glam::DVec3;
@@ -50,22 +50,6 @@ impl TrackerMotion<'_> {
         let used = |source: &&dyn TrackSource| self.only.as_deref().is_none_or(|only| only == source.name());
         step.tracks.iter().map(AsRef::as_ref).filter(used).collect()
     }
-}
-
-/// What the stages of one frame read.
-pub struct MotionInput<'a> {
-    /// Settings.
-    pub config: &'a MotionConfig,
-    /// Views at t - 1 and t.
-    pub step: Step<'a>,
-    /// Trackers used.
-    pub trackers: Vec<&'a dyn TrackSource>,
-    /// The static layer, which hides parts of the dynamic one.
-    pub static_layer: &'a Gaussians,
-    /// Positions of the dynamic layer at t - 1 (m).
-    pub previous: &'a [DVec3],
-    /// Where motion fields and association are computed; `None` = the CPU.
-    pub gpu: Option<&'a Gpu>,
 }
 
 /// Lines 20 to 34: from what the trackers saw to the places at t. Returns every tracker's estimates.

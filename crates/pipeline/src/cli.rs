@@ -1,7 +1,7 @@
 //! The command line of `ffgs`.
 
+use crate::choice::{MethodChoice, MethodParser};
 use crate::device::{self, Device};
-use crate::method::{MethodChoice, MethodParser};
 use crate::registry::{CAPTURES, METHODS};
 use crate::stage::{self, Stage};
 use anyhow::Result;

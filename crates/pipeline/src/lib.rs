@@ -2,6 +2,7 @@
 
 mod bake;
 pub mod check;
+pub mod choice;
 pub mod cli;
 pub mod config;
 mod config_text;

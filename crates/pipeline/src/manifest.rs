@@ -1,7 +1,7 @@
 //! `run.json`: what was run, on what, with which settings.
 
+use crate::choice::MethodChoice;
 use crate::config::Config;
-use crate::method::MethodChoice;
 use crate::record::{RunFolder, read_json, write_json};
 use crate::run::RunRequest;
 use anyhow::{Context, Result, bail};

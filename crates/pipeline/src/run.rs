@@ -1,6 +1,7 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
 use crate::check::check_capture;
+use crate::choice::MethodChoice;
 use crate::cli::FrameRange;
 use crate::config::Config;
 use crate::console::Console;
@@ -9,7 +10,7 @@ use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::knowledge::{self, Predicted};
 use crate::lanes::{Lanes, Photographed};
 use crate::manifest::Manifest;
-use crate::method::{MethodChoice, Parts};
+use crate::method::Parts;
 use crate::record::{FrameRecord, Metrics, RunFolder, publish, read_json, write_json};
 use crate::registry::open_capture;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};

@@ -1,9 +1,9 @@
 //! Runs over two or three frames of the sample, with next to no training.
 
+use ffgs_pipeline::choice::MethodChoice;
 use ffgs_pipeline::cli::FrameRange;
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::method::MethodChoice;
 use ffgs_pipeline::record::{FrameRecord, Metrics, RunFolder, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
 use ffgs_trainer::StaticMethod;

@@ -1,5 +1,6 @@
 //! The project's own lints. Each rule is a pure function with a test that makes it fail.
 
+mod circles;
 mod edges;
 mod manifests;
 mod sources;
@@ -34,6 +35,7 @@ pub fn run(root: &Path) -> Result<()> {
     let sources = read(root)?;
     let mut findings: Vec<Finding> = sources.iter().flat_map(sources::check).collect();
     findings.extend(sources.iter().flat_map(manifests::check));
+    findings.extend(circles::check(&sources));
     findings.extend(edges::check(root, &sources)?);
     if !findings.is_empty() {
         bail!("tidy has {} findings:\n  {}", findings.len(), findings.join("\n  "));
