@@ -161,6 +161,18 @@ impl Camera {
         Some(Projection { pixel: DVec2::new(fx * p.x / p.z + cx, fy * p.y / p.z + cy), depth: p.z })
     }
 
+    /// Derivative of the pixel by the world point, a row for each coordinate (px/m); `None` when the point is not in
+    /// front of the camera.
+    pub fn pixel_derivative(&self, point_in_world: DVec3) -> Option<[DVec3; 2]> {
+        let p = self.rotation * point_in_world + self.translation;
+        if !(p.z > 0.0) {
+            return None;
+        }
+        let (Intrinsics { fx, fy, .. }, to_world) = (self.intrinsics, self.rotation.transpose());
+        let along = |f: DVec3| to_world * f / p.z;
+        Some([along(DVec3::new(fx, 0.0, -fx * p.x / p.z)), along(DVec3::new(0.0, fy, -fy * p.y / p.z))])
+    }
+
     /// Column and row of the pixel a world point falls in; `None` behind the camera or outside the image.
     pub fn pixel_of(&self, point_in_world: DVec3) -> Option<(usize, usize)> {
         let Projection { pixel, .. } = self.project(point_in_world)?;
@@ -199,6 +211,21 @@ mod tests {
         let back = camera.center() + camera.ray(projection.pixel) * (point - camera.center()).length();
         assert!((back - point).length() < 1e-12);
         assert!((projection.depth - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_derivative_of_the_pixel_is_that_of_finite_differences() {
+        let pose = DMat4::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.1);
+        let camera = camera(DMat4::from_translation(DVec3::new(0.1, 0.2, 3.0)) * pose).unwrap();
+        let (place, step) = (DVec3::new(0.4, -0.3, 0.6), 1e-6);
+        let pixel = |p: DVec3| camera.project(p).unwrap().pixel;
+        let rows = camera.pixel_derivative(place).unwrap();
+        for axis in DVec3::AXES {
+            let change = (pixel(place + axis * step) - pixel(place - axis * step)) / (2.0 * step);
+            let told = DVec2::new(rows[0].dot(axis), rows[1].dot(axis));
+            assert!((change - told).length() < 1e-7 * told.length().max(1.0));
+        }
+        assert!(camera.pixel_derivative(camera.center()).is_none());
     }
 
     #[test]

@@ -21,6 +21,12 @@ impl Observations {
         let n = views * gaussians;
         Self { views, gaussians, targets: bytemuck::zeroed_vec(n), weights: bytemuck::zeroed_vec(n) }
     }
+
+    /// Where `gaussian` went in `view` (px), if it was observed there.
+    pub fn at(&self, view: usize, gaussian: usize) -> Option<DVec2> {
+        let entry = view * self.gaussians + gaussian;
+        (self.weights[entry] > 0.0).then(|| self.targets[entry])
+    }
 }
 
 /// Outcome of one triangulation.

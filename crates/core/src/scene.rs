@@ -39,6 +39,12 @@ pub struct Dynamic {
     pub next_id: u32,
     /// What the photographs so far tell of the other parameters.
     pub knowledge: Knowledge,
+    /// Logarithm of the odds that a Gaussian departs from its rigid group; empty before the first initialisation.
+    pub flexibility: Vec<f64>,
+    /// Whether so many Gaussians left the masks in the last frame that the masks were doubted and the Gaussians kept.
+    pub doubted: bool,
+    /// Gaussians that were marked as moving and have not left all images: what growth may make up for.
+    pub entitled: usize,
 }
 
 /// What photographs tell of the parameters of a layer, and how long that holds.
@@ -66,9 +72,35 @@ impl Dynamic {
         }
     }
 
+    /// Keeps the Gaussians `kept`, in this order, with all that is known of them.
+    pub fn keep(&mut self, kept: &[usize]) {
+        fn select<T: Copy>(column: &mut Vec<T>, kept: &[usize]) {
+            if !column.is_empty() {
+                *column = kept.iter().map(|&i| column[i]).collect();
+            }
+        }
+        self.gaussians = self.gaussians.select(kept);
+        select(&mut self.covariances, kept);
+        select(&mut self.steps, kept);
+        select(&mut self.ids, kept);
+        select(&mut self.flexibility, kept);
+        if !self.knowledge.information.is_empty() {
+            self.knowledge.information = self.knowledge.information.select(kept);
+        }
+    }
+
     /// The last steps (m), if there are any.
     pub fn known_steps(&self) -> Option<&[DVec3]> {
-        let known = !self.steps.is_empty() && self.steps.len() == self.gaussians.len();
-        known.then_some(self.steps.as_slice())
+        self.known(&self.steps)
+    }
+
+    /// The evidence that Gaussians depart from their rigid groups, if there is any.
+    pub fn known_flexibility(&self) -> Option<&[f64]> {
+        self.known(&self.flexibility)
+    }
+
+    /// A column, if it is one of this layer.
+    fn known<'a, T>(&self, column: &'a [T]) -> Option<&'a [T]> {
+        (!column.is_empty() && column.len() == self.gaussians.len()).then_some(column)
     }
 }

@@ -4,7 +4,7 @@ use glam::DVec3;
 use std::ops::Range;
 
 /// Points ordered so that every node of a balanced tree of spatial halves is a contiguous range.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Cells {
     /// Point indices in tree order.
     pub order: Vec<usize>,

@@ -14,13 +14,24 @@ pub struct DensifyConfig {
     pub min_sigma_px: f64,
     /// A Gaussian whose largest axis exceeds this many pixels is split, a smaller one cloned.
     pub split_above_px: f64,
+    /// Most dynamic Gaussians, as a share of those that were marked and have not left all images.
+    pub max_growth: f64,
+    /// Opacity below which a Gaussian is removed.
+    pub min_opacity: f32,
     /// Most dynamic Gaussians.
     pub max_dynamic: usize,
 }
 
 impl Default for DensifyConfig {
     fn default() -> Self {
-        Self { fraction: 0.02, min_sigma_px: 2.0, split_above_px: 4.0, max_dynamic: 500_000 }
+        Self {
+            fraction: 0.02,
+            min_sigma_px: 2.0,
+            split_above_px: 4.0,
+            max_growth: 1.0,
+            min_opacity: 0.005,
+            max_dynamic: 500_000,
+        }
     }
 }
 

@@ -10,7 +10,7 @@ pub const MEDIAN_CHI2: f64 = 2.366;
 /// Squared Mahalanobis distance at which a robust weight falls to a quarter: far in the tail of a consistent estimate.
 const TAIL: f64 = 12.0;
 /// Least factor on a tracker's covariances; keeps weights finite where estimates agree exactly.
-pub const MIN_SCALE: f64 = 1e-2;
+pub const MIN_SCALE: f64 = 1e-6;
 
 /// One tracker's estimate of one Gaussian.
 #[derive(Clone, Copy, Debug, Default)]

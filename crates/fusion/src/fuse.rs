@@ -1,8 +1,10 @@
+use crate::cell_views::ViewObservations;
 use crate::config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 use crate::evidence::{Evidence, robust_weight};
 use crate::groups::Group;
 use crate::process_noise::{median_displacement, per_group};
 use crate::structure::{Prior, Structured, structured};
+use crate::symmetric::Symmetric;
 use ffgs_core::{EstimateStatus, Estimates};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -24,6 +26,10 @@ pub struct FusionInput<'a> {
     pub last_q: f64,
     /// Lower bound of q (m): 0.25 px times depth / focal length; 0 = literal.
     pub q_floor_m: f64,
+    /// What each view saw; without, a group is taken for rigid.
+    pub observed: Option<ViewObservations<'a>>,
+    /// [`Fused::flexibility`] of the last frame, if there was one.
+    pub flexibility: Option<&'a [f64]>,
 }
 
 /// The state after fusion, columns of length N.
@@ -43,6 +49,8 @@ pub struct Fused {
     pub groups: Vec<Group>,
     /// Group of each Gaussian; `None` where it has none or left it.
     pub group_of: Vec<Option<usize>>,
+    /// Logarithm of the odds that a Gaussian's departure from its group is real, over this and earlier frames.
+    pub flexibility: Vec<f64>,
 }
 
 /// Combines the trackers' estimates with the temporal prior.
@@ -80,7 +88,7 @@ impl MotionFuser for InformationFuser {
             .into_par_iter()
             .map(|i| match &structure {
                 None => self.update(input, i, random_walk(input, predicted[i], i, q_of[i])),
-                Some(structure) => self.follow(input, &evidence, structure, i),
+                Some(structure) => self.blend(input, &evidence, structure, i),
             })
             .collect();
         Ok(Fused {
@@ -96,13 +104,20 @@ impl MotionFuser for InformationFuser {
 /// Rotations and groups; means and the like are left empty.
 fn layout(structure: Option<Structured>, n: usize) -> Fused {
     let Some(structure) = structure else {
-        return Fused { rotations: vec![DQuat::IDENTITY; n], group_of: vec![None; n], ..Fused::default() };
+        let (rotations, flexibility) = (vec![DQuat::IDENTITY; n], vec![0.0; n]);
+        return Fused { rotations, group_of: vec![None; n], flexibility, ..Fused::default() };
     };
-    let group = |(prior, group): (&Prior, &Option<usize>)| if prior.left { None } else { *group };
+    let departs = |i: usize| structure.alternatives[i].is_some_and(|(probability, _)| probability > 0.5);
+    let group = |i: usize| structure.groups.of[i].filter(|_| !structure.priors[i].left && !departs(i));
+    let rotation = |i: usize| match &structure.alternatives[i] {
+        Some((probability, other)) => structure.priors[i].rotation.slerp(other.rotation, *probability),
+        None => structure.priors[i].rotation,
+    };
     Fused {
-        rotations: structure.priors.iter().map(|p| p.rotation).collect(),
-        group_of: structure.priors.iter().zip(&structure.groups.of).map(group).collect(),
-        groups: structure.groups.groups,
+        rotations: (0..n).map(rotation).collect(),
+        group_of: (0..n).map(group).collect(),
+        flexibility: structure.flexibility,
+        groups: structure.groups.found,
         ..Fused::default()
     }
 }
@@ -113,12 +128,37 @@ struct State {
     covariance: DMat3,
 }
 
+impl State {
+    /// Mean and covariance of a mixture with `other`, which has this probability.
+    fn mixed(self, other: Self, probability: f64) -> Self {
+        let (own, apart) = (1.0 - probability, other.mean - self.mean);
+        let outer = DMat3::from(Symmetric::outer(apart)) * (own * probability);
+        Self {
+            mean: self.mean + apart * probability,
+            covariance: self.covariance * own + other.covariance * probability + outer,
+        }
+    }
+}
+
 impl InformationFuser {
+    /// The posterior over both priors of a Gaussian that may depart from its group.
+    fn blend(&self, input: &FusionInput, evidence: &Evidence, structure: &Structured, i: usize) -> State {
+        let rigid = self.follow(input, evidence, structure, &structure.priors[i], i);
+        let Some((probability, other)) = &structure.alternatives[i] else { return rigid };
+        rigid.mixed(self.follow(input, evidence, structure, other, i), *probability)
+    }
+
     /// Update of one Gaussian from what its surroundings say. Errors of the place at t-1 are in prior and measurement
     /// alike, so they are carried, not fused.
-    fn follow(&self, input: &FusionInput, evidence: &Evidence, structure: &Structured, i: usize) -> State {
-        let prior = structure.priors[i];
-        let scales = structure.scales(i);
+    fn follow(
+        &self,
+        input: &FusionInput,
+        evidence: &Evidence,
+        structure: &Structured,
+        prior: &Prior,
+        i: usize,
+    ) -> State {
+        let scales = structure.scales(prior);
         let count = evidence.of(i).count().max(1) as f64;
         let shared = self.config.correlation_inflation * (1.0 + (count - 1.0) * structure.correlation);
         let mut information = prior.covariance.inverse();
@@ -133,7 +173,7 @@ impl InformationFuser {
         }
         let covariance = information.inverse();
         let mean = prior.mean + covariance * vector;
-        let carried = input.prior_covariances[i];
+        let carried = input.prior_covariances[i] + DMat3::from(prior.shared);
         if mean.is_finite() && covariance.is_finite() {
             State { mean, covariance: DMat3::from(covariance) + carried }
         } else {

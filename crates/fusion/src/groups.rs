@@ -66,10 +66,10 @@ pub struct Group {
     pub scales: Vec<f64>,
     /// Variance per axis of the cells' own motions about the group's (m^2).
     pub spread: f64,
-    /// Whether its cells scatter more than tracker errors do: then it is no rigid group.
-    pub deforms: bool,
     /// Cells that found the group.
     pub cells: usize,
+    /// Logarithm of the odds that it is not rigid.
+    pub flexibility: f64,
 }
 
 impl Group {
@@ -86,9 +86,11 @@ impl Group {
 #[derive(Clone, Debug, Default)]
 pub struct Groups {
     /// Groups, the one with most cells first.
-    pub groups: Vec<Group>,
+    pub found: Vec<Group>,
     /// (N) the group of each Gaussian; `None` only when there are no groups.
     pub of: Vec<Option<usize>>,
+    /// The cells, each in one group.
+    pub cells: Cells,
 }
 
 /// Finds the groups. `previous` (N, m) are the places at t-1.
@@ -320,28 +322,15 @@ impl<'a> Search<'a> {
         };
         let mut deviations: Vec<f64> = cells.iter().filter_map(deviation).collect();
         let sigma = median(&mut deviations)? / MEDIAN_LENGTH;
-        let local = self.local_scales(&cells);
-        let shared = (local.iter().sum::<f64>() / local.len().max(1) as f64).max(1.0);
-        let deforms = sigma * sigma > DEFORMING * shared * self.single_variance(&cells, &local)?;
         let group = Group {
             motion: fit.motion,
             covariance,
             scales: fit.scales,
             spread: sigma * sigma,
-            deforms,
             cells: cells.len(),
+            flexibility: 0.0,
         };
         Some((cells, group))
-    }
-
-    /// Per tracker, the typical noise scale within a cell: what a deformation does not reach.
-    fn local_scales(&self, cells: &[usize]) -> Vec<f64> {
-        let of = |l: usize| {
-            let mut scales: Vec<f64> =
-                cells.iter().filter_map(|&c| self.voters[c].as_ref()).map(|v| v.scales[l]).collect();
-            median(&mut scales).unwrap_or(1.0)
-        };
-        (0..self.evidence.trackers()).map(of).collect()
     }
 
     /// Typical variance per axis of one Gaussian's combined estimate (m^2).
@@ -352,15 +341,16 @@ impl<'a> Search<'a> {
 
     /// Every cell joins a group: its own, or the one with the nearest cell.
     fn assign(&self, found: Vec<(Vec<usize>, Group)>) -> Groups {
-        let mut out = Groups { groups: Vec::new(), of: vec![None; self.previous.len()] };
+        let mut out =
+            Groups { found: Vec::new(), of: vec![None; self.previous.len()], cells: self.cells.clone() };
         let mut label: Vec<Option<usize>> = vec![None; self.centres.len()];
         for (cells, group) in found {
             let parent = self.parent(&cells, &label);
-            if parent.is_some_and(|p: usize| self.agree(&cells, &group, &out.groups[p])) {
+            if parent.is_some_and(|p: usize| self.agree(&cells, &group, &out.found[p])) {
                 cells.iter().for_each(|&c| label[c] = parent);
             } else {
-                cells.iter().for_each(|&c| label[c] = Some(out.groups.len()));
-                out.groups.push(group);
+                cells.iter().for_each(|&c| label[c] = Some(out.found.len()));
+                out.found.push(group);
             }
         }
         let founders: Vec<usize> = (0..label.len()).filter(|&c| label[c].is_some()).collect();
@@ -401,12 +391,6 @@ impl<'a> Search<'a> {
 /// Cells of a patch: trackers err alike over as much of a surface as they see at once. On the sample, groups of 3 to 12
 /// cells beside a wheel err by up to 15 cm together.
 const PATCH_CELLS: f64 = 8.0;
-
-/// A group deforms when the variance of its cells' motions exceeds this many times that of a single estimate, times the
-/// factor by which trackers err beyond their claims within a cell: what they get wrong together there, they get wrong
-/// at least as much from cell to cell. Rigid bodies have 0.1 to 0.9 (the sample's cars, simulated ones), a simulated
-/// walker 1.0 to 3.0, a bending bar 1.9 to 9.
-const DEFORMING: f64 = 1.0;
 
 /// Times `leave`, the squared Mahalanobis distance up to which a cell agrees with a motion: cells err together.
 const EXPLAINED: f64 = 2.0;

@@ -20,17 +20,21 @@
 //!     groups: None,
 //!     last_q: 0.0,
 //!     q_floor_m: 0.0,
+//!     observed: None,
+//!     flexibility: None,
 //! })?;
 //! assert_eq!(fused.q, 1.0);
 //! assert!((fused.means[0].x - 1.0).abs() < 1e-3);
 //! # Ok::<(), ffgs_fusion::FusionError>(())
 //! ```
 
+mod cell_views;
 mod cells;
 mod config;
 mod correlation;
 mod densify;
 mod evidence;
+mod flexibility;
 mod fuse;
 mod groups;
 mod members;
@@ -45,11 +49,12 @@ mod validation;
 mod view_counts;
 mod votes;
 
+pub use cell_views::ViewObservations;
 pub use config::{FusionConfig, FusionError, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
 pub use fuse::{Fused, FusionInput, InformationFuser, MotionFuser, initial_covariance, symmetric_inverse};
 pub use groups::{Group, GroupsConfig, spatial_objects};
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use rigid::{RigidMotion, fit_rigid};
-pub use validation::{dynamic_split, second_chance, validate};
+pub use validation::{Silhouettes, Slack, second_chance, validate};
 pub use view_counts::{ViewCounts, count_views};

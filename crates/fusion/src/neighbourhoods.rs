@@ -1,5 +1,5 @@
 use crate::config::FusionError;
-use crate::evidence::MEDIAN_CHI2;
+use crate::evidence::{MEDIAN_CHI2, MIN_SCALE};
 use crate::process_noise::median;
 use crate::rigid::{RigidMotion, fit_rigid};
 use glam::{DMat3, DQuat, DVec3};
@@ -43,7 +43,7 @@ pub struct StructurePrior {
     pub covariances: Vec<DMat3>,
     /// Rotation of the neighbourhood from t-1 to t.
     pub rotations: Vec<DQuat>,
-    /// Factor on the trackers' covariances learnt from how they scatter about the rigid motion, at least 1.
+    /// Factor on the trackers' covariances learnt from how they scatter about the rigid motion.
     pub inflation: f64,
 }
 
@@ -225,7 +225,7 @@ impl<'a> Cloud<'a> {
         blend(place, &near, &weights)
     }
 
-    /// How much the measurements scatter about the predictions, relative to what the trackers claim; at least 1.
+    /// How much the measurements scatter about the predictions, relative to what the trackers claim.
     fn inflation(&self, predictions: &[Prediction], wanted: &[bool]) -> f64 {
         let distance = |&i: &usize| {
             let e = self.means[i] - predictions[i].place;
@@ -233,7 +233,7 @@ impl<'a> Cloud<'a> {
         };
         let mut distances: Vec<f64> =
             self.donors.par_iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
-        (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(1.0)
+        (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(MIN_SCALE)
     }
 
     /// Factor on the prior's variance of a Gaussian whose own evidence contradicts it: it is free to leave.

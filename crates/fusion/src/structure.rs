@@ -3,6 +3,7 @@
 use crate::config::{FusionConfig, FusionError, Structure};
 use crate::correlation::correlation;
 use crate::evidence::{Combined, Evidence, Told};
+use crate::flexibility::Flexibility;
 use crate::fuse::FusionInput;
 use crate::groups::{Groups, discover};
 use crate::neighbourhoods::local_rigid_motion;
@@ -26,6 +27,8 @@ pub struct Prior {
     pub scales: usize,
     /// Variance per axis by which parts of its group deviate from the group's motion (m^2).
     spread: f64,
+    /// Errors that the prior and the Gaussian's own evidence share (m^2): carried, not fused.
+    pub shared: Symmetric,
     /// Whether it follows its own neighbourhood rather than a group.
     pub left: bool,
     /// Whether its own evidence counts in full, however far it is from the prior.
@@ -36,6 +39,10 @@ pub struct Prior {
 pub struct Structured {
     /// (N) priors.
     pub priors: Vec<Prior>,
+    /// (N) the prior of those that may depart from their group, with the probability that they do.
+    pub alternatives: Vec<Option<(f64, Prior)>>,
+    /// (N) evidence that the Gaussian departs from its group, for the next frame.
+    pub flexibility: Vec<f64>,
     /// Rows of factors on the trackers' covariances.
     scales: Vec<Vec<f64>>,
     /// Correlation between the errors of two trackers, 0..1.
@@ -46,8 +53,8 @@ pub struct Structured {
 
 impl Structured {
     /// Factors on the trackers' covariances for a Gaussian.
-    pub fn scales(&self, i: usize) -> &[f64] {
-        &self.scales[self.priors[i].scales]
+    pub fn scales(&self, prior: &Prior) -> &[f64] {
+        &self.scales[prior.scales]
     }
 }
 
@@ -62,14 +69,20 @@ pub fn structured(
     config: &FusionConfig,
 ) -> Result<Option<Structured>, FusionError> {
     let previous = input.prior_means;
-    let groups = match config.structure {
+    let mut groups = match config.structure {
         Structure::RigidGroups => discover(previous, evidence, &config.groups),
         _ => Groups { of: vec![None; previous.len()], ..Groups::default() },
     };
-    let scales: Vec<Vec<f64>> = groups.groups.iter().map(|g| g.scales.clone()).collect();
+    let flexibility = match &input.observed {
+        Some(observed) => Flexibility::new(previous, observed, &groups, input.flexibility),
+        None => Flexibility::none(previous.len()),
+    };
+    let odds = flexibility.of_groups.iter();
+    groups.found.iter_mut().zip(odds).for_each(|(group, odds)| group.flexibility = *odds);
+    let scales: Vec<Vec<f64>> = groups.found.iter().map(|g| g.scales.clone()).collect();
     let by_group = |i: usize| {
         let g = groups.of[i]?;
-        let group = Some(&groups.groups[g]).filter(|group| !group.deforms)?;
+        let group = &groups.found[g];
         let (mean, covariance) = group.predict(previous[i], &config.groups);
         Some(Prior {
             mean,
@@ -77,6 +90,7 @@ pub fn structured(
             rotation: group.motion.rotation,
             scales: g,
             spread: group.spread,
+            shared: Symmetric::default(),
             left: false,
             free: false,
         })
@@ -87,13 +101,28 @@ pub fn structured(
     let departures = leavers.find()?;
     let correlation = correlation(evidence, &priors, &scales);
     let priors: Vec<Option<Prior>> = priors.into_iter().zip(departures).map(|(p, d)| depart(p, d)).collect();
-    let mut out = Structured { priors: Vec::new(), scales, correlation, groups };
-    let Some(priors) = with_neighbourhoods(input, evidence, config, priors, &mut out.scales)? else {
-        return Ok(None);
+    let mut out = Structured {
+        priors: Vec::new(),
+        alternatives: vec![None; previous.len()],
+        flexibility: flexibility.evidence,
+        scales,
+        correlation,
+        groups,
     };
-    out.priors = priors;
+    let probability = |i: usize| flexibility.probability[i];
+    let wanted = |(i, prior): (usize, &Option<Prior>)| prior.is_none() || probability(i) > NEGLIGIBLE;
+    let wanted: Vec<bool> = priors.iter().enumerate().map(wanted).collect();
+    let around = neighbourhoods(input, evidence, config, &wanted, &flexibility.noise, &mut out.scales)?;
+    for (i, (prior, around)) in priors.into_iter().zip(around).enumerate() {
+        let Some(prior) = prior.or(around) else { return Ok(None) };
+        out.priors.push(prior);
+        out.alternatives[i] = around.map(|around| (probability(i), around)).filter(|_| !prior.left);
+    }
     Ok(Some(out))
 }
+
+/// Probability below which a Gaussian's alternative changes less than any other error.
+const NEGLIGIBLE: f64 = 1e-3;
 
 /// A prior moved by a departure.
 fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
@@ -102,17 +131,18 @@ fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
     Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, free: true, ..prior })
 }
 
-/// Who has no group takes the motion of its neighbourhood; `None` when some have neither.
-fn with_neighbourhoods(
+/// The motions of the neighbourhoods of those that want one, as far as anything was measured. `noise` (N, m^2) is what
+/// all estimates of a neighbourhood share.
+fn neighbourhoods(
     input: &FusionInput,
     evidence: &Evidence,
     config: &FusionConfig,
-    priors: Vec<Option<Prior>>,
+    wanted: &[bool],
+    noise: &[Symmetric],
     scales: &mut Vec<Vec<f64>>,
-) -> Result<Option<Vec<Prior>>, FusionError> {
-    let wanted: Vec<bool> = priors.iter().map(Option::is_none).collect();
+) -> Result<Vec<Option<Prior>>, FusionError> {
     if !wanted.contains(&true) {
-        return Ok(priors.into_iter().collect());
+        return Ok(vec![None; wanted.len()]);
     }
     let (previous, ones) = (input.prior_means, vec![1.0; evidence.trackers()]);
     let combined: Vec<_> = (0..previous.len()).into_par_iter().map(|i| evidence.combined(i, &ones)).collect();
@@ -120,8 +150,8 @@ fn with_neighbourhoods(
     let covariances: Vec<DMat3> =
         combined.iter().map(|c| c.map_or(DMat3::ZERO, |c| c.covariance.into())).collect();
     let measured: Vec<bool> = combined.iter().map(Option::is_some).collect();
-    let local = local_rigid_motion(previous, &means, &covariances, &measured, &wanted, &config.rigid)?;
-    let Some(local) = local else { return Ok(None) };
+    let local = local_rigid_motion(previous, &means, &covariances, &measured, wanted, &config.rigid)?;
+    let Some(local) = local else { return Ok(vec![None; wanted.len()]) };
     let row = scales.len();
     scales.push(vec![local.inflation; evidence.trackers()]);
     let own = |i: usize| Prior {
@@ -130,11 +160,11 @@ fn with_neighbourhoods(
         rotation: local.rotations[i],
         scales: row,
         spread: 0.0,
+        shared: noise[i],
         left: true,
         free: true,
     };
-    let choose = |(i, prior): (usize, Option<Prior>)| prior.unwrap_or_else(|| own(i));
-    Ok(Some(priors.into_iter().enumerate().map(choose).collect()))
+    Ok(wanted.iter().enumerate().map(|(i, wanted)| wanted.then(|| own(i))).collect())
 }
 
 /// Neighbours that judge whether a Gaussian's own evidence is more than an error of its trackers.

@@ -20,6 +20,11 @@ impl Symmetric {
         Self { xx: value, yy: value, zz: value, ..Self::default() }
     }
 
+    /// `v` times its transpose.
+    pub fn outer(v: DVec3) -> Self {
+        Self { xx: v.x * v.x, xy: v.x * v.y, xz: v.x * v.z, yy: v.y * v.y, yz: v.y * v.z, zz: v.z * v.z }
+    }
+
     /// By cofactors; not finite where the matrix is singular.
     pub fn inverse(self) -> Self {
         let Self { xx, xy, xz, yy, yz, zz } = self;
@@ -134,6 +139,7 @@ mod tests {
         let v = DVec3::new(0.3, -2.0, 1.5);
         assert!((m * v - full * v).length() < 1e-15 && (m.quadratic(v) - v.dot(full * v)).abs() < 1e-14);
         assert_eq!(m.trace(), 9.0);
+        assert!((DMat3::from(Symmetric::outer(v)) * DVec3::X - v * v.x).length() < 1e-15);
         assert!(!Symmetric::default().inverse().is_finite());
     }
 }

@@ -3,15 +3,69 @@
 use ffgs_core::{Camera, EstimateStatus, Estimates, Gaussians, ImageSize, Intrinsics, Mask, sigmoid};
 use ffgs_fusion::{
     DensifyAction, DensifyConfig, FusionConfig, FusionError, FusionInput, InformationFuser, MotionFuser,
-    PriorModel, ProcessNoise, Structure, ViewCounts, apply_densification, dynamic_split, initial_covariance,
-    plan_densification, second_chance, validate,
+    PriorModel, ProcessNoise, Silhouettes, Slack, Structure, ViewCounts, apply_densification,
+    initial_covariance, plan_densification, second_chance, validate,
 };
 use glam::{DMat3, DMat4, DVec3};
 
 #[test]
 fn validity_needs_all_but_slack_of_the_views_that_see_the_point() {
-    let valid = |inside, seen| validate(ViewCounts { inside, seen }, 2);
+    let two = Slack { views: 2, share: 0.0 };
+    let valid = |inside, seen| validate(ViewCounts { inside, seen }, two);
     assert!(valid(8, 10) && !valid(7, 10) && valid(1, 1) && !valid(0, 1) && !valid(0, 0));
+}
+
+#[test]
+fn a_share_of_the_views_fits_four_cameras_and_three_hundred() {
+    let fifth = Slack { views: 0, share: 0.2 };
+    let valid = |inside, seen| validate(ViewCounts { inside, seen }, fifth);
+    assert!(!valid(3, 4) && valid(4, 4), "four cameras: all of them");
+    assert!(valid(8, 10) && !valid(7, 10), "ten: as Algorithm 1");
+    assert!(valid(270, 300) && !valid(200, 300), "three hundred: occluders hide it from thirty");
+    assert!(!valid(0, 1) && valid(1, 1));
+}
+
+/// Cameras on a ring of 4 m about the origin, which they look at; masks show a ball of 0.5 m there.
+fn ring(views: usize, shown: impl Fn(usize) -> bool) -> (Vec<Camera>, Vec<Mask>) {
+    let size = ImageSize { width: 100, height: 100 };
+    let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0 };
+    let camera = |v: usize| {
+        let turn = DMat4::from_rotation_y(std::f64::consts::TAU * v as f64 / views as f64);
+        let pose = DMat4::from_translation(DVec3::new(0.0, 0.0, 4.0)) * turn;
+        Camera::new(intrinsics, pose, size).unwrap()
+    };
+    let inside = |p: usize| {
+        let (x, y) = ((p % 100) as f64 + 0.5 - 50.0, (p / 100) as f64 + 0.5 - 50.0);
+        u8::from(x.hypot(y) < 12.5)
+    };
+    let mask = |v: usize| {
+        Mask::new(size, (0..10_000).map(|p| if shown(v) { inside(p) } else { u8::from(p < 9) }).collect())
+    };
+    ((0..views).map(camera).collect(), (0..views).map(|v| mask(v).unwrap()).collect())
+}
+
+#[test]
+fn background_in_one_mask_cone_of_four_is_not_held() {
+    let fifth = Slack { views: 0, share: 0.2 };
+    let (cameras, masks) = ring(4, |_| true);
+    let silhouettes = Silhouettes::new(&cameras, &masks, 2, fifth).unwrap();
+    // The last one is narrowly missed by the cameras that see it from the side.
+    let means =
+        [DVec3::ZERO, DVec3::new(0.0, 0.0, 1.5), DVec3::new(0.0, 0.52, 0.0), DVec3::new(0.0, 0.7, 0.0)];
+    assert_eq!(silhouettes.hold(&means).unwrap(), [true, false, true, false]);
+}
+
+#[test]
+fn a_mask_that_flickers_has_no_say() {
+    let fifth = Slack { views: 0, share: 0.2 };
+    let (cameras, masks) = ring(6, |v| v != 2 && v != 3);
+    let means: Vec<DVec3> = (0..60).map(|i| DVec3::new(0.0, 0.01 * f64::from(i % 20), 0.0)).collect();
+    let mut silhouettes = Silhouettes::new(&cameras, &masks, 2, Slack { share: 0.4, ..fifth }).unwrap();
+    assert_eq!(silhouettes.drop_flickering(&means).unwrap(), 2);
+    assert!(silhouettes.hold(&means).unwrap().iter().all(|held| *held));
+    let (cameras, masks) = ring(6, |_| true);
+    let mut silhouettes = Silhouettes::new(&cameras, &masks, 2, fifth).unwrap();
+    assert_eq!(silhouettes.drop_flickering(&means).unwrap(), 0);
 }
 
 #[test]
@@ -23,9 +77,10 @@ fn empty_masks_have_no_say_in_the_split() {
     centre[10 * 20 + 10] = 1;
     let masks = [Mask::new(size, centre).unwrap(), Mask::filled(size, false)];
     let means = [DVec3::new(0.0, 0.0, 4.0), DVec3::new(0.5, 0.0, 4.0), DVec3::new(1.5, 0.0, 4.0)];
-    let split = dynamic_split(&means, &[camera, camera], &masks, 2, 0).unwrap();
+    let none = Slack { views: 0, share: 0.0 };
+    let split = Silhouettes::new(&[camera, camera], &masks, 2, none).unwrap().hold(&means).unwrap();
     assert_eq!(split, [true, true, false]);
-    assert!(matches!(dynamic_split(&means, &[camera], &masks, 2, 0), Err(FusionError::Masks { .. })));
+    assert!(matches!(Silhouettes::new(&[camera], &masks, 2, none), Err(FusionError::Masks { .. })));
 }
 
 #[test]
@@ -36,9 +91,14 @@ fn a_second_chance_follows_the_neighbours() {
     means[6].y += 50.0;
     let mut valid = [true; 12];
     valid[5] = false;
-    second_chance(&previous, &mut means, &valid).unwrap();
+    let mut covariances = vec![DMat3::IDENTITY * 1e-4; 12];
+    covariances[5] = DMat3::IDENTITY * 1e-9;
+    second_chance(&previous, &mut means, &mut covariances, &valid).unwrap();
     assert_eq!(means[5], previous[5] + DVec3::new(0.0, 2.0, 0.0));
-    second_chance(&previous, &mut means, &[false; 12]).unwrap();
+    // One of the eight neighbours went 50 m another way: its scatter belongs to the covariance.
+    let scatter = 50.0 * 50.0 / 24.0;
+    assert!((covariances[5].y_axis.y - (1e-4 + scatter)).abs() < 1e-9, "{}", covariances[5]);
+    second_chance(&previous, &mut means, &mut covariances, &[false; 12]).unwrap();
 }
 
 fn gaussians(n: usize) -> Gaussians {
@@ -109,6 +169,8 @@ fn options_change_what_they_say() {
         groups: Some(&[0, 1]),
         last_q: 0.5,
         q_floor_m: 0.0,
+        observed: None,
+        flexibility: None,
     };
     let fuse = |config: FusionConfig| InformationFuser { config }.fuse(&input).unwrap();
     let literal = FusionConfig::literal();
@@ -140,6 +202,8 @@ fn without_estimates_the_prior_grows_by_the_last_q() {
         groups: None,
         last_q: 0.5,
         q_floor_m: 0.0,
+        observed: None,
+        flexibility: None,
     };
     let fused = InformationFuser::default().fuse(&input).unwrap();
     assert_eq!((fused.means[0], fused.q, fused.measured[0]), (DVec3::Y, 0.5, false));

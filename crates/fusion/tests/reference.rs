@@ -1,7 +1,7 @@
 //! Cases from an independent float64 implementation (fixtures/reference).
 
 use ffgs_core::{EstimateStatus, Estimates, ImageSize, Mask};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, count_views, validate};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, Slack, count_views, validate};
 use ffgs_testkit::{case, largest, largest_difference, relative_difference};
 use glam::{DMat3, DVec3};
 
@@ -34,6 +34,8 @@ fn literal_fusion_matches_algorithm_1() {
             groups: None,
             last_q: 0.0,
             q_floor_m: 0.0,
+            observed: None,
+            flexibility: None,
         };
         let fused = InformationFuser { config: FusionConfig::literal() }.fuse(&input).unwrap();
         let expected = case.points("expected_means");
@@ -57,7 +59,7 @@ fn validation_counts_match() {
         .map(|m| Mask::new(size, m.iter().map(|&v| v as u8).collect()).unwrap())
         .collect();
     let counts = count_views(&case.points("means"), &cameras, &masks).unwrap();
-    let slack = case.scalar("slack") as u32;
+    let slack = Slack { views: case.scalar("slack") as u32, share: 0.0 };
     let column = |f: fn(u32, u32, bool) -> f64| {
         counts.iter().map(|c| f(c.inside, c.seen, validate(*c, slack))).collect::<Vec<_>>()
     };

@@ -68,6 +68,8 @@ fn evaluate(scene: &Scene, config: FusionConfig) -> [f64; 4] {
             groups: None,
             last_q: 0.0,
             q_floor_m: 0.0,
+            observed: None,
+            flexibility: None,
         })
         .unwrap();
     let part = PER_CAR - 20..PER_CAR;

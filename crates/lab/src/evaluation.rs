@@ -69,6 +69,15 @@ pub struct Evaluation {
     start: (Gaussians, Gaussians),
 }
 
+/// What a frame's initialisation hands to the next one; empty before the first.
+#[derive(Default)]
+pub struct Memory {
+    /// Steps (m).
+    steps: Vec<DVec3>,
+    /// Evidence that Gaussians depart from their rigid groups.
+    flexibility: Vec<f64>,
+}
+
 impl Evaluation {
     /// Opens the capture in `root`.
     pub fn open(root: &Path, args: &SourceArgs) -> Result<Self> {
@@ -97,9 +106,9 @@ impl Evaluation {
 
     /// The fused estimate of the bodies over all frames.
     pub fn bodies(&self) -> Result<Cell> {
-        let (mut all, mut steps) = (Cells::new(), Vec::new());
+        let (mut all, mut memory) = (Cells::new(), Memory::default());
         for frame in self.frames.clone() {
-            merge(&mut all, self.frame(frame, &mut steps, &mut FlowErrors::new())?.0);
+            merge(&mut all, self.frame(frame, &mut memory, &mut FlowErrors::new())?.0);
         }
         Ok(all.remove("fused").and_then(|mut parts| parts.remove("bodies")).unwrap_or_default())
     }
@@ -120,12 +129,11 @@ impl Evaluation {
         Ok((moving, fixed))
     }
 
-    /// Moves the Gaussians into `frame`. `steps` are those of the frame before (m), then of this one; empty before the
-    /// first.
+    /// Moves the Gaussians into `frame`. `memory` is that of the frame before, then of this one.
     pub fn frame(
         &self,
         frame: usize,
-        steps: &mut Vec<DVec3>,
+        memory: &mut Memory,
         flow: &mut FlowErrors,
     ) -> Result<(Cells, Seconds)> {
         let (moving, fixed) = self.layers(frame)?;
@@ -160,11 +168,11 @@ impl Evaluation {
         faults.into_iter().next().map_or(Ok(()), Err)?;
         // The places are exact: the posterior is that of this frame's motion alone.
         let covariances = vec![DMat3::ZERO; moving.len()];
-        let steps_before = std::mem::take(steps);
+        let Memory { steps, flexibility } = std::mem::take(memory);
         let mut dynamic =
-            Dynamic { gaussians: moving, covariances, steps: steps_before, ..Dynamic::default() };
+            Dynamic { gaussians: moving, covariances, steps, flexibility, ..Dynamic::default() };
         let estimates = move_by(&input, &mut observations, &mut dynamic, &mut log)?;
-        steps.clone_from(&dynamic.steps);
+        *memory = Memory { steps: dynamic.steps.clone(), flexibility: dynamic.flexibility.clone() };
         let parts = self.truth.parts_at(frame - 1, &previous)?;
         let scorer = Scorer { truth: &self.truth, frame, previous: &previous, parts: &parts };
         let mut cells = Cells::new();

@@ -1,7 +1,7 @@
 //! `ffgs-lab motion-eval`: the motion initialisation, frame by frame, against a capture's ground truth.
 
 use crate::cells::{Cell, Cells, merge};
-use crate::evaluation::{Evaluation, FlowErrors, SourceArgs};
+use crate::evaluation::{Evaluation, FlowErrors, Memory, SourceArgs};
 use anyhow::Result;
 use clap::Args;
 use ffgs_core::Seconds;
@@ -65,10 +65,10 @@ struct Entry {
 pub fn run(args: &MotionEvalArgs) -> Result<()> {
     let eval = Evaluation::open(&args.capture, &args.source)?;
     let (mut all, mut frames, mut flow) = (Cells::new(), Vec::new(), FlowErrors::new());
-    let mut steps = Vec::new();
+    let mut memory = Memory::default();
     let bar = progress(args.source.log.quiet, "frames", eval.frames.len());
     for frame in eval.frames.clone() {
-        let (cells, seconds) = eval.frame(frame, &mut steps, &mut flow)?;
+        let (cells, seconds) = eval.frame(frame, &mut memory, &mut flow)?;
         bar.inc(1);
         if args.per_frame {
             println!("frame {frame}\n{}", text(&cells));

@@ -4,7 +4,7 @@ use crate::evaluation::configuration;
 use anyhow::Result;
 use clap::Args;
 use ffgs_core::Estimates;
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
 use ffgs_motion_eval::{Row, Sample, summarise, table};
 use ffgs_pipeline::cli::LogArgs;
 use ffgs_pipeline::config::Config;
@@ -19,6 +19,15 @@ pub struct SimulateArgs {
     /// Settings, as for `ffgs run`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
+    /// Standard deviation of a tracker's error (px)
+    #[arg(long, value_name = "PX", default_value_t = Recipe::default().noise_px)]
+    pub noise: f64,
+    /// Share of the error's variance that is smooth over the surface
+    #[arg(long, value_name = "SHARE", default_value_t = Recipe::default().smooth)]
+    pub smooth: f64,
+    /// Factor on the covariances that the trackers claim: below 1 they are too sure of themselves
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub claims: f64,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,
@@ -29,7 +38,7 @@ pub struct SimulateArgs {
 /// # Errors
 /// When the configuration cannot be read.
 pub fn run(args: &SimulateArgs) -> Result<()> {
-    print!("{}", table(&rows(&configuration(args.config.as_deref())?)?));
+    print!("{}", table(&rows(args, &configuration(args.config.as_deref())?)?));
     Ok(())
 }
 
@@ -51,14 +60,17 @@ const RIGS: [Rig; 3] = [Rig::Trackside, Rig::Ring, Rig::Dome];
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 
 /// Rows of every scenario and rig: the fusion as configured, and Algorithm 1 to the letter.
-fn rows(config: &Config) -> Result<Vec<Row>> {
+fn rows(args: &SimulateArgs, config: &Config) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
+    let recipe = Recipe { noise_px: args.noise, smooth: args.smooth, ..Recipe::default() };
     for scenario in Scenario::ALL {
         for rig in RIGS {
             let mut samples = [Vec::new(), Vec::new()];
             for seed in SEEDS {
-                let scene = simulate(&Recipe { scenario, rig, seed, ..Recipe::default() });
-                let estimates = estimate(&scene, config)?;
+                let scene = simulate(&Recipe { scenario, rig, seed, ..recipe });
+                let mut estimates = estimate(&scene, config)?;
+                let claimed = estimates.iter_mut().flat_map(|e| &mut e.covariances);
+                claimed.for_each(|c| *c *= args.claims);
                 let fusions = [config.fusion, FusionConfig::literal()];
                 for (out, fusion) in samples.iter_mut().zip(fusions) {
                     out.extend(score(&scene, &estimates, fusion)?);
@@ -94,6 +106,8 @@ fn score(scene: &Simulation, estimates: &[Estimates], config: FusionConfig) -> R
         groups: Some(&scene.parts),
         last_q: 0.0,
         q_floor_m: 0.01,
+        observed: Some(ViewObservations { cameras: &scene.cameras, observations: &scene.observations }),
+        flexibility: None,
     })?;
     let sample =
         |i: usize| Sample { error: fused.means[i] - scene.truth[i], covariance: fused.covariances[i] };

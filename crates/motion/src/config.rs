@@ -1,6 +1,6 @@
 //! Every setting of the motion initialisation.
 
-use ffgs_fusion::{DensifyConfig, FusionConfig};
+use ffgs_fusion::{DensifyConfig, FusionConfig, Slack};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
 use serde::de::Error;
@@ -30,6 +30,7 @@ impl MotionConfig {
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {
+            marking: MarkingConfig { slack: 2, slack_share: 0.0, ..defaults.marking },
             voronoi: VoronoiConfig {
                 source_filter: SourceFilter::All,
                 use_visibility: false,
@@ -51,21 +52,30 @@ impl MotionConfig {
     }
 }
 
-/// A Gaussian is dynamic (valid) when inside the mask in all but `slack` of the views that see it.
+/// A Gaussian is dynamic (valid) when inside the mask in all views that see it but for the slack.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkingConfig {
     /// Pixels by which the mask is grown before marking at t = 0.
     pub dilation: usize,
-    /// Views that may disagree.
+    /// Views that may disagree, however many see it (Algorithm 1: 2).
     pub slack: u32,
+    /// And share of the views that see it.
+    pub slack_share: f64,
     /// Share of the dynamic layer lost in one frame beyond which the run warns.
     pub loss_warning: f64,
 }
 
 impl Default for MarkingConfig {
     fn default() -> Self {
-        Self { dilation: 2, slack: 2, loss_warning: 0.2 }
+        Self { dilation: 2, slack: 0, slack_share: 0.2, loss_warning: 0.2 }
+    }
+}
+
+impl MarkingConfig {
+    /// The views that may disagree.
+    pub fn slack(&self) -> Slack {
+        Slack { views: self.slack, share: self.slack_share }
     }
 }
 

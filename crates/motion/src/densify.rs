@@ -1,19 +1,31 @@
 //! Lines 41 and 42.
 
 use crate::{MotionInput, pixel_sizes};
-use ffgs_core::{Dynamic, StageLog};
+use ffgs_core::{Dynamic, StageLog, sigmoid};
 use ffgs_fusion::{DensifyConfig, apply_densification, plan_densification};
 use std::time::Instant;
 
-/// Splits or clones what is uncertain.
+/// Removes what has faded, then splits or clones what is uncertain, as far as that makes up for what is gone.
 pub(crate) fn densify(input: &MotionInput, dynamic: &mut Dynamic, log: &mut StageLog) {
     let start = Instant::now();
-    let config: &DensifyConfig = &input.config.densification;
+    let config = &input.config.densification;
+    remove_faded(config.min_opacity, dynamic, log);
+    let most = config.max_dynamic.min((config.max_growth * dynamic.entitled as f64) as usize);
+    let config = DensifyConfig { max_dynamic: most, ..*config };
     let pixel_m = pixel_sizes(&dynamic.gaussians.positions(), input.step.now.iter().map(|view| &view.camera));
-    let plan = plan_densification(&dynamic.gaussians, &dynamic.covariances, &pixel_m, config);
+    let plan = plan_densification(&dynamic.gaussians, &dynamic.covariances, &pixel_m, &config);
     let seed = input.step.seed ^ (input.step.frame as u64) << 32;
     apply_densification(&mut dynamic.gaussians, &mut dynamic.covariances, &plan, seed);
+    dynamic.flexibility.extend(plan.iter().map(|p| dynamic.flexibility[p.0]).collect::<Vec<_>>());
     dynamic.steps.extend(plan.iter().map(|p| dynamic.steps[p.0]).collect::<Vec<_>>());
     dynamic.number_new();
     log.since("fusion", start);
+}
+
+/// Removes Gaussians that show next to nothing wherever they are.
+fn remove_faded(least: f32, dynamic: &mut Dynamic, log: &mut StageLog) {
+    let logits = &dynamic.gaussians.opacity_logits;
+    let kept: Vec<usize> = (0..logits.len()).filter(|&i| sigmoid(logits[i]) >= least).collect();
+    log.skip("Gaussians removed: faded", logits.len() - kept.len());
+    dynamic.keep(&kept);
 }

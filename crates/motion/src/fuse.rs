@@ -3,8 +3,10 @@
 use crate::MotionInput;
 use crate::turn::turn;
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Estimates, StageLog};
-use ffgs_fusion::{Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, spatial_objects};
+use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog};
+use ffgs_fusion::{
+    Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, ViewObservations, spatial_objects,
+};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -49,6 +51,7 @@ impl<'a> Lens<'a> {
 /// Lines 25 to 34: the posterior of the layer.
 pub fn fuse(
     input: &MotionInput,
+    observations: &[Observations],
     estimates: &[Estimates],
     dynamic: &Dynamic,
     log: &mut StageLog,
@@ -60,6 +63,7 @@ pub fn fuse(
         ProcessNoise::Global => None,
         ProcessNoise::PerObject => Some(spatial_objects(input.previous, &input.config.fusion.groups)),
     };
+    let cameras: Vec<Camera> = input.step.now.iter().map(|view| view.camera).collect();
     let standing = vec![DVec3::ZERO; input.previous.len()];
     let fused = fuser.fuse(&FusionInput {
         prior_means: input.previous,
@@ -69,6 +73,8 @@ pub fn fuse(
         groups: objects.as_deref(),
         last_q: dynamic.q,
         q_floor_m: 0.25 * typical_size(&mut pixel_m),
+        observed: Some(ViewObservations { cameras: &cameras, observations }),
+        flexibility: dynamic.known_flexibility(),
     })?;
     log.since("fusion", start);
     Ok(fused)
@@ -85,6 +91,7 @@ pub fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, log: &mut
     log.skip("Gaussians that follow their neighbours rather than a rigid group", left);
     log.skip("Gaussians that no tracker measured", fused.measured.iter().filter(|m| !**m).count());
     dynamic.covariances = fused.covariances;
+    dynamic.flexibility = fused.flexibility;
     dynamic.q = fused.q;
     log.since("fusion", start);
 }

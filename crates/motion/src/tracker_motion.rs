@@ -66,7 +66,7 @@ pub fn move_by(
         log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
-    let fused = fuse::fuse(input, &estimates, dynamic, log)?;
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, log)?;
     fuse::apply(input, fused, dynamic, log);
     Ok(estimates)
 }
@@ -84,7 +84,7 @@ fn expected_places(
     // A rehearsal: what it skips is not counted, the time it takes is.
     let mut rehearsal = StageLog::default();
     let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
-    let fused = fuse::fuse(input, &estimates, dynamic, &mut rehearsal)?;
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut rehearsal)?;
     rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
     Ok(fused.means)
 }

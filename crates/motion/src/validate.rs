@@ -2,10 +2,9 @@
 
 use crate::MotionInput;
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Mask, StageLog};
-use ffgs_fusion::{count_views, second_chance, validate};
+use ffgs_core::{Dynamic, StageLog};
+use ffgs_fusion::{Silhouettes, second_chance};
 use glam::DVec3;
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// Lines 35 to 40: who left the masks gets one second chance beside its neighbours, then goes.
@@ -16,51 +15,55 @@ pub(crate) fn validate_positions(
 ) -> Result<()> {
     let start = Instant::now();
     let mut means = dynamic.gaussians.positions();
-    let views = GrownMasks::new(input);
-    let mut valid = views.valid(&means)?;
-    second_chance(input.previous, &mut means, &valid)?;
+    let silhouettes = silhouettes(input, &means, log)?;
+    let mut valid = silhouettes.hold(&means)?;
+    second_chance(input.previous, &mut means, &mut dynamic.covariances, &valid)?;
     // Only those that moved are looked at again.
     let moved: Vec<usize> = (0..means.len()).filter(|&i| !valid[i]).collect();
-    let again = views.valid(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
+    let again = silhouettes.hold(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
     moved.iter().zip(again).for_each(|(&i, now)| valid[i] = now);
-    let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i]).collect();
-    let lost = means.len() - kept.len();
-    log.skip("Gaussians removed: outside the masks", lost);
-    if lost as f64 > input.config.marking.loss_warning * means.len() as f64 {
-        log.warn(format!("{lost} of {} dynamic Gaussians left the masks", means.len()));
-    }
+    let shown = silhouettes.shown(&means);
+    let wait = doubts(input, dynamic, &valid, &shown, log);
+    let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait && shown[i]).collect();
+    let unseen = shown.iter().filter(|shown| !**shown).count();
+    log.skip("Gaussians removed: in no camera's image", unseen);
+    log.skip("Gaussians removed: outside the masks", means.len() - kept.len() - unseen);
     for (target, mean) in dynamic.gaussians.means.iter_mut().zip(&means) {
         *target = mean.as_vec3().to_array();
     }
-    dynamic.gaussians = dynamic.gaussians.select(&kept);
-    dynamic.covariances = kept.iter().map(|&i| dynamic.covariances[i]).collect();
-    dynamic.steps = kept.iter().map(|&i| means[i] - input.previous[i]).collect();
-    if !dynamic.knowledge.information.is_empty() {
-        dynamic.knowledge.information = dynamic.knowledge.information.select(&kept);
-    }
-    dynamic.ids = kept.iter().map(|&i| dynamic.ids[i]).collect();
+    dynamic.steps = means.iter().zip(input.previous).map(|(now, before)| *now - *before).collect();
+    dynamic.keep(&kept);
+    dynamic.entitled = dynamic.entitled.saturating_sub(unseen);
     log.since("validation", start);
     Ok(())
 }
 
-/// Views at t with foreground, their masks grown as for marking: a splat's mean may lie beside the mask that its footprint
-/// touches.
-struct GrownMasks {
-    cameras: Vec<Camera>,
-    masks: Vec<Mask>,
-    slack: u32,
+/// Whether those outside the masks stay for now: one frame's masks may be wrong, so many go only when the next agrees.
+fn doubts(
+    input: &MotionInput,
+    dynamic: &mut Dynamic,
+    valid: &[bool],
+    shown: &[bool],
+    log: &mut StageLog,
+) -> bool {
+    let lost = valid.iter().zip(shown).filter(|(valid, shown)| !**valid && **shown).count();
+    let many = lost as f64 > input.config.marking.loss_warning * valid.len() as f64;
+    let wait = many && !dynamic.doubted;
+    dynamic.doubted = wait;
+    if many {
+        let what = if wait { "stay until the next frame agrees" } else { "go" };
+        log.warn(format!("{lost} of {} dynamic Gaussians left the masks: they {what}", valid.len()));
+    }
+    wait
 }
 
-impl GrownMasks {
-    fn new(input: &MotionInput) -> Self {
-        let marking = &input.config.marking;
-        let grown = input.step.now.par_iter().filter(|v| v.mask.count() > 0);
-        let (cameras, masks) = grown.map(|v| (v.camera, v.mask.dilated(marking.dilation))).unzip();
-        Self { cameras, masks, slack: marking.slack }
-    }
-
-    fn valid(&self, means: &[DVec3]) -> Result<Vec<bool>> {
-        let counts = count_views(means, &self.cameras, &self.masks)?;
-        Ok(counts.into_iter().map(|c| validate(c, self.slack)).collect())
-    }
+/// The masks at t; those that lack what all others hold have no say.
+fn silhouettes(input: &MotionInput, means: &[DVec3], log: &mut StageLog) -> Result<Silhouettes> {
+    let marking = &input.config.marking;
+    let views = input.step.now.iter();
+    let (cameras, masks): (Vec<_>, Vec<_>) = views.map(|v| (v.camera, v.mask.clone())).unzip();
+    let mut silhouettes = Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?;
+    let dropped = silhouettes.drop_flickering(means)?;
+    log.skip("masks without a say: they lack what all others hold", dropped);
+    Ok(silhouettes)
 }

@@ -21,7 +21,7 @@ use ffgs_core::{
     write_atomically,
 };
 use ffgs_dataset::ImageCheck;
-use ffgs_fusion::{dynamic_split, initial_covariance};
+use ffgs_fusion::{Silhouettes, initial_covariance};
 use ffgs_gpu::Gpu;
 use ffgs_method::{Capture, Finetuning, MotionMethod, Split, Step, TrackSource, ViewAt};
 use ffgs_motion::pixel_sizes;
@@ -208,8 +208,7 @@ impl<'a> Job<'a> {
         let mut views = self.all_views(frame)?;
         let count = self.views.len();
         let mut scene = if let Some(run) = &self.request.first_frame {
-            state::load(&RunFolder(run.clone()).state(frame))
-                .context("--first-frame: not a run of this capture")?
+            self.taken_from(&RunFolder(run.clone()), frame, &views)?
         } else {
             record.log.since("load", start);
             let trained = self.train_all(&views, console)?;
@@ -237,6 +236,18 @@ impl<'a> Job<'a> {
         Ok(views)
     }
 
+    /// The first frame of another run; marked again where that run marked otherwise. `views` begins with the training
+    /// views.
+    fn taken_from(&self, run: &RunFolder, frame: usize, views: &[TrainingView]) -> Result<Scene> {
+        let scene = state::load(&run.state(frame)).context("--first-frame: not a run of this capture")?;
+        let other: Result<Manifest> = read_json(&run.manifest());
+        if other.is_ok_and(|other| other.config.marking == self.config().marking) {
+            return Ok(scene);
+        }
+        tracing::info!("--first-frame: {} marked otherwise; its Gaussians are marked again", run.0.display());
+        self.split(&scene.joint(), scene.sky, &views[..self.views.len()], views)
+    }
+
     fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
         let points = self.capture.points()?.context("the capture has no initial points")?;
         let degree = self.config().first_frame.sh_degree;
@@ -260,7 +271,8 @@ impl<'a> Job<'a> {
     ) -> Result<Scene> {
         let (cameras, masks) = cameras_and_masks(training);
         let marking = self.config().marking;
-        let moving = dynamic_split(&all.positions(), &cameras, &masks, marking.dilation, marking.slack)?;
+        let silhouettes = Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?;
+        let moving = silhouettes.hold(&all.positions())?;
         // Training left what it added at the end; all later frames keep this order.
         let order = spatial_order(&all.means);
         let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
@@ -272,7 +284,8 @@ impl<'a> Job<'a> {
         let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
         let axes = gaussians.log_scales.iter().map(smallest);
         let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
-        let mut dynamic = Dynamic { gaussians, covariances, ..Dynamic::default() };
+        let entitled = gaussians.len();
+        let mut dynamic = Dynamic { gaussians, covariances, entitled, ..Dynamic::default() };
         dynamic.number_new();
         Ok(Scene { static_layer: all.select(&indices(false)), dynamic, sky })
     }

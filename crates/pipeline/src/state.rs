@@ -6,6 +6,12 @@ use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Name of the flag that the last masks were doubted.
+const DOUBTED: &str = "masks_doubted";
+
+/// Name of the number of Gaussians that growth may make up for.
+const ENTITLED: &str = "dynamic_entitled";
+
 /// Writes the state atomically.
 pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
     let state = FrameState {
@@ -21,6 +27,12 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         next_id: scene.dynamic.next_id,
         dynamic_information: scene.dynamic.knowledge.information.clone(),
         reals: reals(&scene.dynamic.knowledge),
+        dynamic_flexibility: scene.dynamic.flexibility.clone(),
+        integers: [
+            (DOUBTED.to_owned(), u64::from(scene.dynamic.doubted)),
+            (ENTITLED.to_owned(), scene.dynamic.entitled as u64),
+        ]
+        .into(),
         ..FrameState::default()
     };
     Ok(save_checkpoint(path, &state)?)
@@ -55,6 +67,7 @@ pub fn load(path: &Path) -> Result<Scene> {
         drift: DRIFT.each_ref().map(real),
         noise: NOISE.each_ref().map(real),
     };
+    let entitled = state.integers.get(ENTITLED).map_or(state.dynamic_layer.len(), |&n| n as usize);
     let dynamic = Dynamic {
         gaussians: state.dynamic_layer,
         covariances: state.dynamic_covariances,
@@ -63,6 +76,9 @@ pub fn load(path: &Path) -> Result<Scene> {
         ids: state.dynamic_ids,
         next_id: state.next_id,
         knowledge,
+        flexibility: state.dynamic_flexibility,
+        entitled,
+        doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
     Ok(Scene { static_layer: state.static_layer, dynamic, sky })
 }

@@ -5,7 +5,9 @@
 mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
-use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, count_views, second_chance, validate};
+use ffgs_fusion::{
+    FusionInput, InformationFuser, MotionFuser, Slack, ViewObservations, count_views, second_chance, validate,
+};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
@@ -80,13 +82,17 @@ fn initialise(scene: &Scene) -> ([f64; STAGES.len()], f64) {
         groups: None,
         last_q: 0.0,
         q_floor_m: 0.01,
+        observed: Some(ViewObservations { cameras: &scene.cameras, observations: &observations }),
+        flexibility: None,
     });
-    let mut means = fused.expect("the columns match").means;
+    let fused = fused.expect("the columns match");
+    let mut means = fused.means.clone();
     watch.stop(5);
     let masks: Vec<Mask> = scene.views.par_iter().map(|v| v.mask_now.dilated(2)).collect();
     let counts = count_views(&means, &scene.cameras, &masks).expect("one size");
-    let valid: Vec<bool> = counts.into_iter().map(|c| validate(c, 2)).collect();
-    second_chance(&scene.previous, &mut means.clone(), &valid).expect("the columns match");
+    let valid: Vec<bool> = counts.into_iter().map(|c| validate(c, Slack { views: 0, share: 0.2 })).collect();
+    second_chance(&scene.previous, &mut means.clone(), &mut fused.covariances.clone(), &valid)
+        .expect("the columns match");
     watch.stop(6);
     (watch.seconds, median_error(&mut means, &scene.truth))
 }

@@ -7,7 +7,7 @@ mod scene;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ffgs_core::{Estimates, Mask};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, count_views};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations, count_views};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_simulator::{Recipe, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
@@ -118,6 +118,11 @@ fn fusion(c: &mut Criterion) {
                 groups: None,
                 last_q: 0.0,
                 q_floor_m: 0.01,
+                observed: Some(ViewObservations {
+                    cameras: &scene.cameras,
+                    observations: &scene.observations,
+                }),
+                flexibility: None,
             };
             let fuser = InformationFuser { config };
             let id = BenchmarkId::new(kind, format!("{}_{}gaussians", scale.name, scale.moving));

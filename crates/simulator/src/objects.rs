@@ -11,6 +11,8 @@ pub enum Scenario {
     TwoSpeeds,
     /// A walker: a torso, and four limbs that each turn about their joint.
     Walker,
+    /// A walker who holds a board, which is rigid and turns.
+    Board,
     /// A bar that bends: nothing about it is rigid.
     Bending,
     /// Nine boxes that stand and one that moves.
@@ -19,7 +21,8 @@ pub enum Scenario {
 
 impl Scenario {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Car, Self::TwoSpeeds, Self::Walker, Self::Bending, Self::MostlyStatic];
+    pub const ALL: [Self; 6] =
+        [Self::Car, Self::TwoSpeeds, Self::Walker, Self::Board, Self::Bending, Self::MostlyStatic];
 }
 
 /// Points on surfaces with their motion.
@@ -32,6 +35,7 @@ pub struct Cloud {
 }
 
 /// A box with a motion.
+#[derive(Clone, Copy)]
 struct Part {
     centre: DVec3,
     half: DVec3,
@@ -83,17 +87,12 @@ fn parts(scenario: Scenario) -> Vec<Part> {
             Part::rigid(DVec3::new(0.0, -1.6, 0.6), car, 0.03, DVec3::new(1.4, 0.05, 0.0)),
             Part::rigid(DVec3::new(1.0, 1.6, 0.6), car, -0.02, DVec3::new(-0.9, 0.0, 0.0)),
         ],
-        Scenario::Walker => {
-            let step = DVec3::new(0.05, 0.0, 0.0);
-            let torso = Part::rigid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(0.12, 0.2, 0.35), 0.0, step);
-            let joint = |y: f64, z: f64| DVec3::new(0.0, y, z);
-            vec![
-                torso,
-                Part::limb(joint(-0.3, 1.5), 0.25, step),
-                Part::limb(joint(0.3, 1.5), -0.25, step),
-                Part::limb(joint(-0.12, 0.85), -0.2, step),
-                Part::limb(joint(0.12, 0.85), 0.2, step),
-            ]
+        Scenario::Walker => walker().into(),
+        Scenario::Board => {
+            let (centre, half) = (DVec3::new(0.5, 0.0, 1.2), DVec3::new(0.02, 0.45, 0.32));
+            let board = Part::rigid(centre, half, 0.1, DVec3::new(0.05, 0.02, 0.03));
+            // Parts share the Gaussians evenly: half of them are the board's.
+            walker().into_iter().chain([board; 5]).collect()
         }
         Scenario::Bending => {
             vec![Part::rigid(DVec3::Z, DVec3::new(2.0, 0.15, 0.15), 0.0, DVec3::new(0.3, 0.0, 0.0))]
@@ -106,6 +105,20 @@ fn parts(scenario: Scenario) -> Vec<Part> {
             })
             .collect(),
     }
+}
+
+/// A torso, two arms, two legs.
+fn walker() -> [Part; 5] {
+    let step = DVec3::new(0.05, 0.0, 0.0);
+    let torso = Part::rigid(DVec3::new(0.0, 0.0, 1.2), DVec3::new(0.12, 0.2, 0.35), 0.0, step);
+    let joint = |y: f64, z: f64| DVec3::new(0.0, y, z);
+    [
+        torso,
+        Part::limb(joint(-0.3, 1.5), 0.25, step),
+        Part::limb(joint(0.3, 1.5), -0.25, step),
+        Part::limb(joint(-0.12, 0.85), -0.2, step),
+        Part::limb(joint(0.12, 0.85), 0.2, step),
+    ]
 }
 
 /// Displacement of a bar that bends by 40 cm at its ends.

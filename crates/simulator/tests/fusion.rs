@@ -1,7 +1,7 @@
 //! The whole way from observations to the posterior on simulated scenes, against the seed's fusion and the truth.
 
 use ffgs_core::{Estimates, Observations};
-use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, MotionFuser};
+use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
 use ffgs_motion_eval::{Sample, Summary, summarise};
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};
@@ -23,6 +23,8 @@ fn fuse(scene: &Simulation, observations: &[Observations], config: FusionConfig)
         groups: None,
         last_q: 0.0,
         q_floor_m: 0.01,
+        observed: Some(ViewObservations { cameras: &scene.cameras, observations }),
+        flexibility: None,
     };
     InformationFuser { config }.fuse(&input).unwrap()
 }
@@ -51,13 +53,16 @@ fn compare(recipe: Recipe) -> (Summary, Summary) {
     (with, without)
 }
 
+/// A bar that bends by a tenth of its motion counts as rigid more often than not (ADR 14): its median may be worse, by up
+/// to a fifth, its tail is not.
 #[test]
 fn structure_is_never_worse_than_the_seed() {
     let mut worse = Vec::new();
     for scenario in Scenario::ALL {
         for rig in [Rig::Trackside, Rig::Ring, Rig::Dome] {
             let (with, without) = compare(Recipe { scenario, rig, ..Recipe::default() });
-            if with.median_cm > without.median_cm || with.p95_cm > without.p95_cm {
+            let allowed = if scenario == Scenario::Bending { 1.2 } else { 1.0 };
+            if with.median_cm > allowed * without.median_cm || with.p95_cm > without.p95_cm {
                 worse.push((scenario, rig));
             }
         }

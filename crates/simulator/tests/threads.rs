@@ -5,7 +5,7 @@
 mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
-use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ViewCounts, count_views};
+use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ViewCounts, ViewObservations, count_views};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_triangulation::{Triangulator, WeightedRays};
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
@@ -61,6 +61,8 @@ fn initialise(scene: &Scene) -> Outcome {
         groups: None,
         last_q: 0.0,
         q_floor_m: 0.01,
+        observed: Some(ViewObservations { cameras: &scene.cameras, observations: &observations }),
+        flexibility: None,
     };
     let fused = InformationFuser::default().fuse(&input).expect("the columns match");
     let masks: Vec<Mask> = scene.views.iter().map(|v| v.mask_now.clone()).collect();

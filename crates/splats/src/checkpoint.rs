@@ -10,8 +10,8 @@ use std::io::Write;
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-/// 2 added the last steps, 3 ids and information; older ones are still read.
-const VERSION: u32 = 3;
+/// 2 added the last steps, 3 ids and information, 4 the flexibility; older ones are still read.
+const VERSION: u32 = 4;
 const HEAD: usize = 20;
 const CHECKSUM: usize = 4;
 
@@ -44,6 +44,8 @@ pub struct FrameState {
     pub q: f64,
     /// Last steps of the dynamic layer (m), for a prior of constant velocity; empty when unknown.
     pub dynamic_steps: Vec<DVec3>,
+    /// Logarithm of the odds that a Gaussian of the dynamic layer departs from its rigid group; empty when unknown.
+    pub dynamic_flexibility: Vec<f64>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -122,6 +124,8 @@ fn encode(state: &FrameState) -> Vec<u8> {
     put_u64(&mut out, u64::from(state.next_id));
     put_layer(&mut out, &state.dynamic_information);
     put_layer(&mut out, &state.static_information);
+    put_u64(&mut out, state.dynamic_flexibility.len() as u64);
+    put_f64s(&mut out, &state.dynamic_flexibility);
     out
 }
 
@@ -153,6 +157,8 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     let (dynamic_ids, next_id) = ids(version, &mut cursor, dynamic_layer.len())?;
     let mut information = || if version >= 3 { layer(&mut cursor) } else { Ok(Gaussians::default()) };
     let (dynamic_information, static_information) = (information()?, information()?);
+    let odds = if version >= 4 { cursor.length()? } else { 0 };
+    let dynamic_flexibility = cursor.f64_rows::<1>(odds)?.into_iter().map(|[v]| v).collect();
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -169,6 +175,7 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
         sky,
         q,
         dynamic_steps,
+        dynamic_flexibility,
         reals,
         integers,
     })

@@ -24,6 +24,7 @@ fn state() -> FrameState {
         sky: (0..72).map(|i| i as f32 / 7.0).collect(),
         q: 0.123_456_789,
         dynamic_steps: vec![DVec3::new(-0.0, 1.4, 1e-300); 2],
+        dynamic_flexibility: vec![-0.0, 3.5],
         reals: [("scale".to_owned(), f64::MIN_POSITIVE)].into(),
         integers: [("iteration".to_owned(), u64::MAX), ("seed".to_owned(), 3)].into(),
     }

@@ -21,6 +21,8 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
         groups: None,
         last_q: 0.0,
         q_floor_m: 0.0,
+        observed: None,
+        flexibility: None,
     })?;
     let mut results = NpzWriter::new();
     results.f64("means", &[n, 3], &flat_points3(&fused.means));
