@@ -1,7 +1,7 @@
 //! `cargo xtask ci`: everything that must pass before a change lands.
 
 use crate::monaco::{Environment, Extent, Pip};
-use crate::{ffgs, fixtures, players, setup, tidy, workspace};
+use crate::{ffgs, fixtures, players, setup, supply, tidy, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::fs::File;
@@ -21,7 +21,7 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 14] = [
+const STEPS: [Step; 16] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -30,10 +30,12 @@ const STEPS: [Step; 14] = [
     ("licences", licences),
     ("documentation", documentation),
     ("fixtures", |root| fixtures::check(root).map(Outcome::Passed)),
+    ("supply", |root| supply::run(root, None).map(Outcome::Passed)),
     ("tests", tests),
     ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
     ("players", players),
     ("main job", main_job),
+    ("torture", torture),
     ("generator", generator),
     ("rendering", rendering),
 ];
@@ -179,6 +181,18 @@ fn main_job(root: &Path) -> Result<Outcome> {
     let output = captured(&mut command)?;
     check_run(&out).with_context(|| format!("the run wrote no usable result; it printed:\n{output}"))?;
     Ok(Outcome::Passed(output))
+}
+
+/// One round of the campaign, on the program with overflow checks that the tests have built.
+#[cfg(unix)]
+fn torture(root: &Path) -> Result<Outcome> {
+    passed(crate::torture::run(root, &crate::torture::Options::one_round("dev")))
+}
+
+/// The campaign is made of signals and limits of Unix.
+#[cfg(not(unix))]
+fn torture(_: &Path) -> Result<Outcome> {
+    Ok(Outcome::Skipped("needs a Unix system".into()))
 }
 
 /// Linter and tests of the capture generator that need no Blender; skipped where there is no Python 3.11.

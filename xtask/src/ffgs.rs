@@ -61,7 +61,7 @@ impl Program {
     fn build(&self, root: &Path, profile: &str) -> Result<PathBuf> {
         let binary = self.binary(root, profile);
         let mut command = workspace::cargo(root);
-        command.args(["build", "--profile", profile, "-p", self.package, "--bin", self.name]);
+        command.args(["build", "--locked", "--profile", profile, "-p", self.package, "--bin", self.name]);
         // A first build takes minutes and shows its progress; later ones leave the screen to the program.
         if binary.is_file() {
             command.arg("--quiet");

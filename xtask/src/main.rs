@@ -8,7 +8,10 @@ mod fixtures;
 mod monaco;
 mod players;
 mod setup;
+mod supply;
 mod tidy;
+#[cfg(unix)]
+mod torture;
 mod workspace;
 
 use anyhow::Result;
@@ -80,6 +83,18 @@ enum Command {
     Bench {
         #[command(flatten)]
         options: bench::Options,
+    },
+    /// Compare the dependencies with docs/DEPENDENCIES.md; write a bill of materials.
+    Supply {
+        /// Write a bill of materials (CycloneDX JSON) of every package in Cargo.lock
+        #[arg(long, value_name = "FILE")]
+        sbom: Option<std::path::PathBuf>,
+    },
+    /// Kill, starve and mislead the program in every way that is known, and count what it does.
+    #[cfg(unix)]
+    Torture {
+        #[command(flatten)]
+        options: torture::Options,
     },
     #[command(external_subcommand)]
     Ffgs(Vec<String>),
@@ -157,6 +172,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
         Command::Compare { options } => compare::run(&root, &options)?,
         Command::Bench { options } => bench::run(&root, &options)?,
+        Command::Supply { sbom } => println!("{}", supply::run(&root, sbom.as_deref())?),
+        #[cfg(unix)]
+        Command::Torture { options } => torture::run(&root, &options)?,
         Command::Ci { only } => ci::run(&root, &only)?,
     }
     Ok(ExitCode::SUCCESS)

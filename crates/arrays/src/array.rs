@@ -17,23 +17,16 @@ impl<T> Array<T> {
         Self { shape, data, file: file.to_owned(), key: key.map(str::to_owned) }
     }
 
-    /// Refuses any other shape; `None` stands for any length of that axis. Returns the array for chaining.
-    pub fn expect_shape(self, expected: &[Option<usize>]) -> Result<Self, ArraysError> {
-        let axes = self.shape.iter().zip(expected);
-        let fits =
-            self.shape.len() == expected.len() && axes.into_iter().all(|(n, e)| e.is_none_or(|e| e == *n));
-        if fits { Ok(self) } else { Err(self.shape_error(shape_text(expected))) }
-    }
-
     /// The only entry of an array with one entry (shape `()` or all ones).
     pub fn scalar(&self) -> Result<T, ArraysError>
     where
         T: Copy,
     {
-        match self.data[..] {
-            [value] => Ok(value),
-            _ => Err(self.shape_error("() or (1,)".to_owned())),
+        if let [value] = self.data[..] {
+            return Ok(value);
         }
+        let cause = Cause::Shape { expected: "() or (1,)".to_owned(), found: self.shape.clone() };
+        Err(ArraysError::new(&self.file, self.key.as_deref(), cause))
     }
 
     /// The entries in rows of `K`; `None` when the count is not a multiple of `K`.
@@ -41,14 +34,14 @@ impl<T> Array<T> {
         let (rows, rest) = self.data.as_chunks::<K>();
         rest.is_empty().then_some(rows)
     }
-
-    fn shape_error(&self, expected: String) -> ArraysError {
-        let cause = Cause::Shape { expected, found: self.shape.clone() };
-        ArraysError::new(&self.file, self.key.as_deref(), cause)
-    }
 }
 
-fn shape_text(shape: &[Option<usize>]) -> String {
+/// Whether a shape is the expected one; `None` stands for any length of that axis.
+pub(crate) fn fits(shape: &[usize], expected: &[Option<usize>]) -> bool {
+    shape.len() == expected.len() && shape.iter().zip(expected).all(|(n, e)| e.is_none_or(|e| e == *n))
+}
+
+pub(crate) fn shape_text(shape: &[Option<usize>]) -> String {
     let axes: Vec<_> = shape.iter().map(|n| n.map_or("*".to_owned(), |n| n.to_string())).collect();
     format!("({})", axes.join(", "))
 }

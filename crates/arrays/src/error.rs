@@ -38,9 +38,12 @@ pub enum Cause {
     /// The dtype is not numeric (or a complex, structured, object or text one).
     #[error("expected a numeric array, found dtype {0}")]
     Dtype(String),
-    /// The shape asks for more than 8 GiB.
+    /// The shape asks for more bytes than the reader accepts.
     #[error("shape {0:?} is too large to read")]
     TooLarge(Vec<usize>),
+    /// The system has no memory for the entries.
+    #[error("there is no memory for its {0} bytes")]
+    NoMemory(usize),
     /// Fewer bytes than the shape asks for.
     #[error("truncated: shape {shape:?} needs {expected} bytes, found {found}")]
     Truncated {

@@ -1,5 +1,6 @@
-use crate::npy::read_array;
+use crate::npy::{Accepted, MAX_BYTES, read_array};
 use crate::{Array, ArraysError, Cause, Element};
+use ffgs_core::open_input;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -12,20 +13,26 @@ use zip::result::ZipError;
 pub struct NpzFile {
     path: PathBuf,
     names: Vec<String>,
+    max_bytes: usize,
     archive: Mutex<ZipArchive<BufReader<File>>>,
 }
 
 impl NpzFile {
     /// Opens the file and reads its directory; no array is read yet.
     pub fn open(path: &Path) -> Result<Self, ArraysError> {
+        Self::open_within(path, MAX_BYTES)
+    }
+
+    /// As [`NpzFile::open`], refusing arrays whose header claims more than `max_bytes` before they are unpacked.
+    pub fn open_within(path: &Path, max_bytes: usize) -> Result<Self, ArraysError> {
         let open = || -> Result<_, Cause> {
-            let file = BufReader::new(File::open(path)?);
+            let file = BufReader::new(open_input(path)?);
             ZipArchive::new(file).map_err(archive_cause)
         };
         let archive = open().map_err(|cause| ArraysError::new(path, None, cause))?;
         let mut names: Vec<_> = archive.file_names().filter_map(|n| array_name(&n.ok()?)).collect();
         names.sort();
-        Ok(Self { path: path.to_owned(), names, archive: Mutex::new(archive) })
+        Ok(Self { path: path.to_owned(), names, max_bytes, archive: Mutex::new(archive) })
     }
 
     /// Names of the arrays, sorted.
@@ -45,9 +52,13 @@ impl NpzFile {
 
     /// Reads an array as `T` from whatever numeric dtype it has.
     pub fn read<T: Element>(&self, name: &str) -> Result<Array<T>, ArraysError> {
-        let (shape, data) =
-            self.entry(name).map_err(|cause| ArraysError::new(&self.path, Some(name), cause))?;
-        Ok(Array::new(shape, data, &self.path, Some(name)))
+        self.entry(name, Accepted { shape: None, bytes: self.max_bytes })
+    }
+
+    /// As [`NpzFile::read`]; any other shape is refused from the header, before the entries are unpacked. `None` stands
+    /// for any length of that axis.
+    pub fn shaped<T: Element>(&self, name: &str, shape: &[Option<usize>]) -> Result<Array<T>, ArraysError> {
+        self.entry(name, Accepted { shape: Some(shape), bytes: self.max_bytes })
     }
 
     /// Reads an array as f32.
@@ -70,14 +81,20 @@ impl NpzFile {
         self.read(name)
     }
 
-    fn entry<T: Element>(&self, name: &str) -> Result<(Vec<usize>, Vec<T>), Cause> {
+    fn entry<T: Element>(&self, name: &str, accepted: Accepted) -> Result<Array<T>, ArraysError> {
+        let (shape, data) =
+            self.unpack(name, accepted).map_err(|cause| ArraysError::new(&self.path, Some(name), cause))?;
+        Ok(Array::new(shape, data, &self.path, Some(name)))
+    }
+
+    fn unpack<T: Element>(&self, name: &str, accepted: Accepted) -> Result<(Vec<usize>, Vec<T>), Cause> {
         if !self.has(name) {
             return Err(Cause::MissingKey(self.names.clone()));
         }
         // A panic while reading leaves nothing half-changed: the next read seeks anew.
         let mut archive = self.archive.lock().unwrap_or_else(PoisonError::into_inner);
         let mut entry = archive.by_name(&format!("{name}.npy")).map_err(archive_cause)?;
-        read_array(&mut entry)
+        read_array(&mut entry, accepted)
     }
 }
 

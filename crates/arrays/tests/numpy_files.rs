@@ -1,8 +1,8 @@
 //! Reading what numpy writes, refusing what it does not.
 
-use ffgs_arrays::{Cause, NpzFile, NpzWriter, read_npy};
+use ffgs_arrays::{Array, ArraysError, Cause, Element, NpzFile, NpzWriter, read_npy};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn npy(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
@@ -21,9 +21,14 @@ fn file(bytes: &[u8]) -> (TempDir, PathBuf) {
     (folder, path)
 }
 
+/// Any vector of up to 4 GB.
+fn read<T: Element>(path: &Path) -> Result<Array<T>, ArraysError> {
+    read_npy(path, &[None], 4 << 30)
+}
+
 fn values(descr: &str, data: &[u8]) -> Vec<f64> {
     let (_folder, path) = file(&npy(descr, "False", "(2,)", data));
-    read_npy(&path).unwrap().data
+    read_npy(&path, &[None], 1 << 10).unwrap().data
 }
 
 #[test]
@@ -42,25 +47,58 @@ fn every_numeric_dtype_and_byte_order_converts() {
 #[test]
 fn fortran_order_becomes_c_order() {
     let (_folder, path) = file(&npy("|u1", "True", "(2, 3)", &[1, 4, 2, 5, 3, 6]));
-    let array = read_npy::<u8>(&path).unwrap().expect_shape(&[None, Some(3)]).unwrap();
+    let array = read_npy::<u8>(&path, &[None, Some(3)], 1 << 10).unwrap();
     assert_eq!((array.shape, array.data), (vec![2, 3], vec![1, 2, 3, 4, 5, 6]));
 }
 
 #[test]
 fn a_hostile_shape_is_refused_without_allocating() {
-    for shape in ["(4294967296, 4294967296, 4294967296)", "(1099511627776,)"] {
-        let (_folder, path) = file(&npy("<f8", "False", shape, &[0; 8]));
-        assert!(matches!(read_npy::<f64>(&path).unwrap_err().cause, Cause::TooLarge(_)), "{shape}");
-    }
+    let huge = "(4294967296, 4294967296, 4294967296)";
+    let (_folder, path) = file(&npy("<f8", "False", huge, &[0; 8]));
+    assert!(matches!(read_npy::<f64>(&path, &[None; 3], 1 << 20).unwrap_err().cause, Cause::TooLarge(_)));
+    let (_folder, path) = file(&npy("<f8", "False", "(1099511627776,)", &[0; 8]));
+    assert!(matches!(read::<f64>(&path).unwrap_err().cause, Cause::TooLarge(_)));
     let (_folder, path) = file(&npy("<f8", "False", "(500000000,)", &[0; 8]));
-    assert!(matches!(read_npy::<f64>(&path).unwrap_err().cause, Cause::Truncated { found: 8, .. }));
+    assert!(matches!(read::<f64>(&path).unwrap_err().cause, Cause::Truncated { found: 8, .. }));
+}
+
+#[test]
+fn an_array_that_is_too_large_or_of_another_shape_is_refused_from_its_header() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bomb.npz");
+    NpzWriter::new().u8("data", &[1 << 20, 7], &vec![0; 7 << 20]).write(&path).unwrap();
+    let packed = fs::metadata(&path).unwrap().len();
+    assert!(packed < 20_000, "{packed} bytes pretend to be {}", 7 << 20);
+    // As f64 the bytes take eight times their room.
+    let npz = NpzFile::open_within(&path, 8 << 20).unwrap();
+    assert!(matches!(npz.f64("data").unwrap_err().cause, Cause::TooLarge(_)));
+    assert_eq!(npz.u8("data").unwrap().data.len(), 7 << 20);
+    // The entries are cut off, which is not noticed: they are not looked at.
+    let damaged: Vec<u8> = npy("<f4", "False", "(4, 3)", &[0; 8]);
+    let (_folder, path) = file(&damaged);
+    let refused = |shape: &[Option<usize>]| read_npy::<f32>(&path, shape, 1 << 20).unwrap_err().cause;
+    assert!(matches!(refused(&[None, Some(2)]), Cause::Shape { .. }));
+    assert!(matches!(refused(&[None, Some(3)]), Cause::Truncated { .. }));
+}
+
+#[test]
+fn blocks_join_without_a_seam() {
+    let data: Vec<f64> = (0..20_000).map(f64::from).collect();
+    let bytes: Vec<u8> = data.iter().flat_map(|v| v.to_be_bytes()).collect();
+    let (_folder, path) = file(&npy(">f8", "False", "(20000,)", &bytes));
+    assert_eq!(read::<f64>(&path).unwrap().data, data);
+    let mut fraction = bytes;
+    fraction[8 * 15_000..8 * 15_001].copy_from_slice(&0.5_f64.to_be_bytes());
+    let (_folder, path) = file(&npy(">f8", "False", "(20000,)", &fraction));
+    let error = read::<i64>(&path).unwrap_err();
+    assert!(matches!(error.cause, Cause::Value { index: 15_000, .. }), "{error}");
 }
 
 #[test]
 fn what_is_not_a_numeric_npy_is_refused() {
     for (descr, shape) in [("<U5", "(1,)"), ("|O", "(1,)"), ("<c8", "(1,)"), ("<f3", "(1,)")] {
         let (_folder, path) = file(&npy(descr, "False", shape, &[0; 64]));
-        assert!(matches!(read_npy::<f32>(&path).unwrap_err().cause, Cause::Dtype(_)), "{descr}");
+        assert!(matches!(read::<f32>(&path).unwrap_err().cause, Cause::Dtype(_)), "{descr}");
     }
     for bytes in [
         &b"\x93NUM"[..],
@@ -69,17 +107,17 @@ fn what_is_not_a_numeric_npy_is_refused() {
         b"\x93NUMPY\x01\x00\x10\x00{",
     ] {
         let (_folder, path) = file(bytes);
-        assert!(matches!(read_npy::<f32>(&path).unwrap_err().cause, Cause::Header(_)));
+        assert!(matches!(read::<f32>(&path).unwrap_err().cause, Cause::Header(_)));
     }
 }
 
 #[test]
 fn integers_refuse_fractions_and_overflow() {
     let (_folder, path) = file(&npy("<f2", "False", "(2,)", &[0x00, 0x3c, 0x00, 0x3e]));
-    let error = read_npy::<i64>(&path).unwrap_err();
+    let error = read::<i64>(&path).unwrap_err();
     assert!(matches!(error.cause, Cause::Value { index: 1, .. }), "{error}");
     let (_folder, path) = file(&npy("<i2", "False", "(1,)", &[0, 1]));
-    assert!(read_npy::<u8>(&path).is_err());
+    assert!(read::<u8>(&path).is_err());
 }
 
 #[test]
@@ -105,7 +143,7 @@ fn errors_name_file_key_and_shapes() {
     let npz = NpzFile::open(&path).unwrap();
     let missing = npz.f32("src").unwrap_err().to_string();
     assert!(missing.contains("x.npz, array 'src'") && missing.contains("tgt"), "{missing}");
-    let shape = npz.f32("tgt").unwrap().expect_shape(&[None, Some(2)]).unwrap_err().to_string();
+    let shape = npz.shaped::<f32>("tgt", &[None, Some(2)]).unwrap_err().to_string();
     assert!(shape.contains("expected shape (*, 2), found [3]"), "{shape}");
     assert!(npz.f32("tgt").unwrap().scalar().is_err());
 }

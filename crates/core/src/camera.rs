@@ -60,6 +60,14 @@ pub enum CameraError {
         /// Determinant of the 3x3 block.
         determinant: f64,
     },
+    /// A value that no lens and no scene has.
+    #[error("{what} of {value:e} is not plausible")]
+    Implausible {
+        /// What it is of.
+        what: &'static str,
+        /// The value.
+        value: f64,
+    },
     /// The image has no pixels.
     #[error("image size {width} x {height} is empty")]
     EmptyImage {
@@ -117,6 +125,32 @@ impl Camera {
             return Err(CameraError::NotRigid { error, determinant });
         }
         Ok(Self { intrinsics, rotation, translation: camera_from_world.w_axis.truncate(), size })
+    }
+
+    /// Focal lengths of a lens, in widths (or heights, the larger one) of its image: fields of view from 20 arc seconds
+    /// to 179.9 degrees.
+    const PLAUSIBLE_FOCAL: std::ops::RangeInclusive<f64> = 1e-3..=1e4;
+    /// Principal points, likewise; an image may be a small part of another one.
+    const PLAUSIBLE_CENTRE: f64 = 1e4;
+    /// Coordinates whose squares, and products of these, are far from the end of `f32`'s range in every unit of length.
+    const PLAUSIBLE_COORDINATE: f64 = 1e9;
+
+    /// Refuses what is no number of any lens or scene, such as 1e300: a file that is damaged, not a camera.
+    pub fn check_plausible(&self) -> Result<(), CameraError> {
+        let side = self.size.width.max(self.size.height) as f64;
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        let focal = |v: f64| Self::PLAUSIBLE_FOCAL.contains(&(v / side));
+        let centre = |v: f64| (v / side).abs() <= Self::PLAUSIBLE_CENTRE;
+        let coordinate = |v: f64| v.abs() <= Self::PLAUSIBLE_COORDINATE;
+        let translation = self.translation.to_array();
+        let lens = [("a focal length", fx, focal(fx)), ("a focal length", fy, focal(fy))];
+        let centres = [("a principal point", cx, centre(cx)), ("a principal point", cy, centre(cy))];
+        let pose = translation.map(|t| ("a translation", t, coordinate(t)));
+        let mut all = lens.into_iter().chain(centres).chain(pose);
+        match all.find(|(_, _, plausible)| !plausible) {
+            Some((what, value, _)) => Err(CameraError::Implausible { what, value }),
+            None => Ok(()),
+        }
     }
 
     /// Intrinsics in pixels.
@@ -226,6 +260,20 @@ mod tests {
             assert!((change - told).length() < 1e-7 * told.length().max(1.0));
         }
         assert!(camera.pixel_derivative(camera.center()).is_none());
+    }
+
+    #[test]
+    fn numbers_that_no_camera_has_are_implausible() {
+        let size = ImageSize { width: 480, height: 240 };
+        let check = |fx: f64, cx: f64, x: f64| {
+            let pose = DMat4::from_translation(DVec3::new(x, 0.0, 0.0));
+            Camera::new(Intrinsics { fx, fy: 8020.0, cx, cy: 120.0 }, pose, size).unwrap().check_plausible()
+        };
+        assert_eq!(check(8020.0, -900.0, 5e6), Ok(()), "a long lens, cropped, in UTM coordinates");
+        for (fx, cx, x) in [(1e300, 0.0, 0.0), (1e-300, 0.0, 0.0), (500.0, -1e300, 0.0), (500.0, 0.0, 1e300)]
+        {
+            assert!(matches!(check(fx, cx, x), Err(CameraError::Implausible { .. })), "{fx} {cx} {x}");
+        }
     }
 
     #[test]

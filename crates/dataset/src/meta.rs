@@ -1,10 +1,14 @@
 use crate::{DatasetError, View};
-use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics};
+use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, read_text};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
-use std::fs;
 use std::io;
 use std::path::Path;
+
+/// A list of 500 cameras over 1000 frames takes a fifth of it.
+const MAX_META_BYTES: u64 = 1 << 29;
+/// Pixels of the largest image; the largest sensors that are sold have 1.5e8.
+const MAX_PIXELS: usize = 1 << 28;
 
 type Matrix<const N: usize> = [[Option<f64>; N]; N];
 
@@ -56,14 +60,15 @@ pub(crate) struct Entry {
 
 impl Entry {
     pub fn camera(&self) -> Result<Camera, CameraError> {
-        Camera::new(self.intrinsics, self.camera_from_world, self.size)
+        let camera = Camera::new(self.intrinsics, self.camera_from_world, self.size)?;
+        camera.check_plausible().map(|()| camera)
     }
 }
 
 impl Meta {
     /// Reads the file; views are those of its first frame, matched in later frames by camera id and folder.
     pub fn read(file: &Path) -> Result<Self, DatasetError> {
-        let text = fs::read_to_string(file).map_err(|source| io_error(file, source))?;
+        let text = read_text(file, MAX_META_BYTES).map_err(|source| io_error(file, source))?;
         let meta = |reason: String| DatasetError::Meta { file: file.to_owned(), reason };
         let parsed: MetaFile = serde_json::from_str(&nan_to_null(&text)).map_err(|e| meta(e.to_string()))?;
         parsed.into_meta().map_err(meta)
@@ -79,8 +84,10 @@ impl MetaFile {
     fn into_meta(self) -> Result<Meta, String> {
         self.check_lengths()?;
         let views = self.views(0);
-        if let Some(twice) = views.iter().enumerate().find(|(i, v)| views[..*i].contains(v)) {
-            return Err(format!("camera '{}' is listed twice in frame 0", twice.1.name));
+        if let Some((_, View { name, .. })) =
+            views.iter().enumerate().find(|(i, v)| views[..*i].iter().any(|other| other.name == v.name))
+        {
+            return Err(format!("two cameras have the folder '{name}' in frame 0; each needs its own"));
         }
         let entries = (0..self.k.len()).map(|t| self.frame(t, &views)).collect::<Result<_, _>>()?;
         Ok(Meta { views, entries })
@@ -124,6 +131,9 @@ impl MetaFile {
         let sides = self.w.of(index).zip(self.h.of(index));
         let (width, height) =
             sides.ok_or_else(|| format!("w or h has no entry for camera '{}'", view.name))?;
+        if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
+            return Err(format!("images of {width} x {height} pixels are larger than {MAX_PIXELS} pixels"));
+        }
         let size = ImageSize { width, height };
         let file_name = self.file_names[t][c].clone();
         if !is_inside(&file_name) {

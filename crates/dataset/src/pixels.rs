@@ -1,13 +1,15 @@
 use crate::DatasetError;
 use crate::meta::io_error;
-use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input};
 use image::{DynamicImage, ImageReader, Limits};
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Decoder memory; an 8K image of 16-bit RGBA takes a quarter of it.
-const MAX_DECODED_BYTES: u64 = 1 << 30;
+/// Decoder memory a pixel: 16-bit RGBA, twice.
+const BYTES_A_PIXEL: u64 = 16;
+/// Decoder memory besides: row buffers, a colour profile.
+const BYTES_BESIDES: u64 = 16 << 20;
 
 /// An 8-bit image of exactly `size`; alpha is ignored, grey is spread over the channels.
 pub(crate) fn read_rgb(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetError> {
@@ -34,24 +36,33 @@ const ENDS: [&[u8]; 2] = [b"\0\0\0\0IEND\xaeB`\x82", b"\xff\xd9"];
 /// Checks that an image of `size` begins and ends as it should, without decoding it; where the end tells nothing, it is
 /// decoded.
 pub(crate) fn probe(file: &Path, size: ImageSize) -> Result<(), DatasetError> {
-    let bytes = std::fs::read(file).map_err(|source| io_error(file, source))?;
-    if !ENDS.iter().any(|end| bytes.ends_with(end)) {
-        return decode(file, size).map(|_| ());
-    }
-    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
-    let reader = reader.map_err(|source| io_error(file, source))?;
-    let damaged = |e: image::ImageError| DatasetError::Image { file: file.to_owned(), reason: e.to_string() };
-    let (width, height) = reader.into_dimensions().map_err(damaged)?;
-    require_size(file, size, width, height)
+    let mut opened = open_sized(file, size)?;
+    let ends = ENDS.iter().any(|end| ends_with(&mut opened, end).unwrap_or(false));
+    if ends { Ok(()) } else { decode(file, size).map(|_| ()) }
 }
 
-fn require_size(file: &Path, expected: ImageSize, width: u32, height: u32) -> Result<(), DatasetError> {
+fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> std::io::Result<bool> {
+    opened.seek(SeekFrom::End(-(end.len() as i64)))?;
+    let mut last = Vec::new();
+    opened.take(end.len() as u64).read_to_end(&mut last)?;
+    Ok(last == end)
+}
+
+/// Opens an image whose header says that it has the size of its camera; nothing larger is unpacked.
+fn open_sized(file: &Path, size: ImageSize) -> Result<BufReader<File>, DatasetError> {
+    let mut opened = BufReader::new(open_input(file).map_err(|source| io_error(file, source))?);
+    let (width, height) =
+        reader(&mut opened, file, size)?.into_dimensions().map_err(|e| damaged(file, &e))?;
     let found = ImageSize { width: width as usize, height: height as usize };
-    if found == expected {
-        Ok(())
-    } else {
-        Err(DatasetError::ImageSize { file: file.to_owned(), expected, found })
+    if found != size {
+        return Err(DatasetError::ImageSize { file: file.to_owned(), expected: size, found });
     }
+    opened.rewind().map_err(|source| io_error(file, source))?;
+    Ok(opened)
+}
+
+fn damaged(file: &Path, error: &image::ImageError) -> DatasetError {
+    DatasetError::Image { file: file.to_owned(), reason: error.to_string() }
 }
 
 /// Whether an alpha channel tells pixels apart.
@@ -65,14 +76,18 @@ fn is_cut_out(image: &DynamicImage) -> bool {
 }
 
 fn decode(file: &Path, size: ImageSize) -> Result<DynamicImage, DatasetError> {
-    let opened = File::open(file).map_err(|source| io_error(file, source))?;
-    let reader = ImageReader::new(BufReader::new(opened)).with_guessed_format();
-    let mut reader = reader.map_err(|source| io_error(file, source))?;
+    reader(&mut open_sized(file, size)?, file, size)?.decode().map_err(|e| damaged(file, &e))
+}
+
+fn reader<'a>(
+    opened: &'a mut BufReader<File>,
+    file: &Path,
+    size: ImageSize,
+) -> Result<ImageReader<&'a mut BufReader<File>>, DatasetError> {
+    let guessed = ImageReader::new(opened).with_guessed_format();
+    let mut reader = guessed.map_err(|source| io_error(file, source))?;
     let mut limits = Limits::default();
-    limits.max_alloc = Some(MAX_DECODED_BYTES);
+    limits.max_alloc = Some(size.pixels() as u64 * BYTES_A_PIXEL + BYTES_BESIDES);
     reader.limits(limits);
-    let damaged = |e: image::ImageError| DatasetError::Image { file: file.to_owned(), reason: e.to_string() };
-    let image = reader.decode().map_err(damaged)?;
-    require_size(file, size, image.width(), image.height())?;
-    Ok(image)
+    Ok(reader)
 }

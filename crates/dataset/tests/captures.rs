@@ -169,6 +169,8 @@ fn cameras_that_are_none_are_faults() {
         ("[0,0,1,2]", "[0,0,-1,2]", "not a rigid transform"),
         ("[[4,0", "[[-Infinity,0", "not finite"),
         ("[[4,0", "[[0,0", "focal lengths must be positive"),
+        ("[[4,0", "[[1e300,0", "a focal length of 1e300 is not plausible"),
+        ("[0,0,1,2]", "[0,0,1,1e300]", "a translation of 1e300 is not plausible"),
     ] {
         let folder = capture();
         edit(folder.path(), from, to);
@@ -183,6 +185,8 @@ fn a_meta_file_of_another_form_is_an_error() {
         ("[[0,1],[1,0]]", "[[0,1],[1,2]]"),
         ("a/000000.png", "../a/000000.png"),
         ("\"w\":4", "\"w\":\"4\""),
+        ("\"w\":4", "\"w\":4294967296"),
+        ("\"w\":4,\"h\":2", "\"w\":9223372036854775807,\"h\":9223372036854775807"),
         ("{\"w\"", "{"),
     ] {
         let folder = capture();
@@ -265,4 +269,42 @@ fn the_sample_is_sound() {
     assert!(report.is_usable(), "{report}");
     let views: Vec<_> = report.splits.iter().map(|s| (s.views, s.frames)).collect();
     assert_eq!((views, report.points), (vec![(20, 6), (7, 6), (24, 1)], 43240));
+}
+
+#[test]
+fn two_cameras_of_one_folder_are_refused_whatever_their_ids() {
+    let folder = capture();
+    let file = folder.path().join("train_meta.json");
+    let text = fs::read_to_string(&file).unwrap().replace("b/00000", "a/00000");
+    fs::write(&file, text).unwrap();
+    let error = Capture::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("two cameras have the folder 'a'"), "{error}");
+}
+
+/// A file that unpacks to a thousand times its size: never unpacked, because its header says that it does not fit.
+#[test]
+fn bombs_are_judged_by_their_headers() {
+    let folder = capture();
+    save(&folder.path().join("ims/b/000001.png"), &image::GrayImage::new(6000, 6000).into());
+    assert_fault(folder.path(), "b/000001.png: image is 6000 x 6000, but its camera is 4 x 2");
+    let rows = 1 << 20;
+    let data = vec![0; 6 * rows];
+    let points = folder.path().join("init_pt_cld.npz");
+    NpzWriter::new().u8("data", &[rows, 6], &data).write(&points).unwrap();
+    assert_fault(folder.path(), "expected shape (*, 7), found [1048576, 6]");
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused_and_not_waited_for() {
+    use std::os::unix::fs::symlink;
+    let folder = capture();
+    let image = folder.path().join("ims/b/000001.png");
+    fs::remove_file(&image).unwrap();
+    symlink("/dev/zero", &image).unwrap();
+    assert_fault(folder.path(), "b/000001.png: not a file (a folder, pipe or device)");
+    let meta = folder.path().join("test_meta.json");
+    assert!(std::process::Command::new("mkfifo").arg(&meta).status().unwrap().success());
+    let error = Capture::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("test_meta.json: not a file"), "{error}");
 }

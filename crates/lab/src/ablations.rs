@@ -90,7 +90,7 @@ pub fn run(args: &AblationArgs) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    print!("{}", table(&rows));
+    ffgs_pipeline::terminal::print(table(&rows).trim_end());
     Ok(())
 }
 

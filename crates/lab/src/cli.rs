@@ -5,6 +5,7 @@ use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use ffgs_pipeline::terminal;
 use std::process::ExitCode;
 
 /// Experiments on the motion initialisation, for developers and papers.
@@ -27,13 +28,7 @@ enum Command {
 
 /// Runs the program on its command line. An error is printed with its causes.
 pub fn main() -> ExitCode {
-    match dispatch(Cli::parse().command) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    terminal::ended(dispatch(Cli::parse().command).map(|()| ExitCode::SUCCESS))
 }
 
 fn dispatch(command: Command) -> Result<()> {

@@ -83,7 +83,7 @@ impl Evaluation {
     pub fn open(root: &Path, args: &SourceArgs) -> Result<Self> {
         let config = configuration(args.config.as_deref())?;
         let capture = open_capture(root)?;
-        let tracks = ffgs_tracks::sources(root)?;
+        let tracks = ffgs_tracks::sources(&*capture)?;
         ensure!(!tracks.is_empty(), "the capture has no tracks/tracks.json");
         let views = select_views(&*capture, None)?;
         let truth = Truth::read(root)?;
@@ -96,7 +96,7 @@ impl Evaluation {
         }
         let start = match &run {
             Some(run) => {
-                let scene = state::load(&run.state(0)).context("--run: no state of frame 0")?;
+                let scene = state::load(&run.state(0), 0).context("--run: no state of frame 0")?;
                 (scene.dynamic.gaussians, scene.static_layer)
             }
             None => initial_points(&*capture)?,
@@ -116,7 +116,7 @@ impl Evaluation {
     /// The layers at the start of a frame.
     fn layers(&self, frame: usize) -> Result<(Gaussians, Gaussians)> {
         if let (Places::Run, Some(run)) = (self.places, &self.run) {
-            let scene = state::load(&run.state(frame - 1))?;
+            let scene = state::load(&run.state(frame - 1), frame - 1)?;
             return Ok((scene.dynamic.gaussians, scene.static_layer));
         }
         let (mut moving, fixed) = self.start.clone();

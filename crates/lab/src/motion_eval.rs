@@ -6,8 +6,10 @@ use anyhow::Result;
 use clap::Args;
 use ffgs_core::Seconds;
 use ffgs_motion_eval::{BINS_CM, FlowSummary, NOMINAL, Row, Summary, summarise, table};
+use ffgs_pipeline::lock::FolderLock;
 use ffgs_pipeline::record::{Metrics, publish, write_json};
 use ffgs_pipeline::render::{FinishedRun, progress};
+use ffgs_pipeline::terminal;
 use ffgs_report::MotionAccuracy;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -71,25 +73,25 @@ pub fn run(args: &MotionEvalArgs) -> Result<()> {
         let (cells, seconds) = eval.frame(frame, &mut memory, &mut flow)?;
         bar.inc(1);
         if args.per_frame {
-            println!("frame {frame}\n{}", text(&cells));
+            terminal::print(format_args!("frame {frame}\n{}", text(&cells)));
         }
         frames.push(FrameScore { frame, seconds, scores: entries(&cells) });
         merge(&mut all, cells);
     }
     bar.finish_and_clear();
-    println!("all frames\n{}", text(&all));
+    terminal::print(format_args!("all frames\n{}", text(&all)));
     let flow: BTreeMap<String, FlowSummary> =
         flow.into_iter().map(|(name, mut errors)| (name, FlowSummary::of(&mut errors))).collect();
     for (name, s) in &flow {
-        println!(
+        terminal::print(format_args!(
             "{name:<34} {:>9} px: median {:.2} px, 90 % {:.2} px, {:.0} % under 1 px",
             s.pixels,
             s.median_px,
             s.p90_px,
             100.0 * s.below_1px
-        );
+        ));
     }
-    println!("{}", stages(&frames));
+    terminal::print(stages(&frames));
     if let Some(file) = &args.json {
         write_json(file, &Report { frames, all_frames: entries(&all), flow })?;
     }
@@ -109,9 +111,10 @@ fn add_to_report(run: &Path, capture: &Path, all: &Cells) -> Result<()> {
     };
     let accuracy: Vec<MotionAccuracy> =
         all.iter().filter_map(|(name, parts)| Some(accuracy(name, parts.get("bodies")?))).collect();
+    let _lock = FolderLock::take(&run.folder.0)?;
     write_json(&run.folder.motion_accuracy(), &accuracy)?;
     publish(&run.folder, &run.manifest, &Metrics::of(run.records()?))?;
-    println!("plots: {}", run.folder.0.join("report.html").display());
+    terminal::print(format_args!("plots: {}", run.folder.0.join("report.html").display()));
     Ok(())
 }
 

@@ -38,7 +38,8 @@ pub struct SimulateArgs {
 /// # Errors
 /// When the configuration cannot be read.
 pub fn run(args: &SimulateArgs) -> Result<()> {
-    print!("{}", table(&rows(args, &configuration(args.config.as_deref())?)?));
+    let rows = rows(args, &configuration(args.config.as_deref())?)?;
+    ffgs_pipeline::terminal::print(table(&rows).trim_end());
     Ok(())
 }
 

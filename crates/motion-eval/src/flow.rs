@@ -24,9 +24,9 @@ impl TrueFlow {
         }
         let npz = NpzFile::open(file)?;
         let (h, w) = (Some(size.height), Some(size.width));
-        let flow = npz.f32("flow")?.expect_shape(&[h, w, Some(2)])?;
-        let valid = npz.u8("valid")?.expect_shape(&[h, w])?.data;
-        let next = npz.u8("visible_next")?.expect_shape(&[h, w])?.data;
+        let flow = npz.shaped::<f32>("flow", &[h, w, Some(2)])?;
+        let valid = npz.shaped::<u8>("valid", &[h, w])?.data;
+        let next = npz.shaped::<u8>("visible_next", &[h, w])?.data;
         let visible = valid.iter().zip(&next).map(|(&v, &n)| v != 0 && n != 0).collect();
         Ok(Some(Self { size, flow: flow.data.as_chunks::<2>().0.to_vec(), visible }))
     }

@@ -95,7 +95,7 @@ impl Truth {
         let points = NpzFile::open(&capture.join("truth/tracks.npz"))?;
         let part_of_point: Vec<u32> = points.u8("part_id")?.data.into_iter().map(u32::from).collect();
         let n = part_of_point.len();
-        let xyz = points.f64("xyz")?.expect_shape(&[None, Some(n), Some(3)])?;
+        let xyz = points.shaped::<f64>("xyz", &[None, Some(n), Some(3)])?;
         let frame = |points: &[f64]| points.as_chunks::<3>().0.iter().map(|p| DVec3::from(*p)).collect();
         let surface = xyz.data.chunks(3 * n.max(1)).map(frame).collect();
         Ok(Self { names, poses, surface, part_of_point })

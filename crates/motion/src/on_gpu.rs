@@ -144,7 +144,7 @@ mod tests {
         let gpu = Gpu::for_test();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
         let capture = Dynamic3dGaussians.open(&path).unwrap();
-        let tracks = ffgs_tracks::sources(&path).unwrap();
+        let tracks = ffgs_tracks::sources(&*capture).unwrap();
         let names = capture.views(Split::Train);
         let views: Vec<usize> =
             (0..names.len()).filter(|&v| ["trk000", "trk008"].contains(&&*names[v])).collect();

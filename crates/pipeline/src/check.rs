@@ -66,7 +66,7 @@ fn progress_bar(quiet: bool) -> ProgressBar {
 
 fn check_tracks(capture: &Capture, content: &mut CheckReport) -> TracksReport {
     let folder = capture.root().join("tracks");
-    let tracks = match TrackStore::open(capture.root()) {
+    let tracks = match TrackStore::of(capture) {
         Ok(Some(store)) => ffgs_tracks::check(&store, &training_cameras(capture), capture.frames()),
         Ok(None) => {
             let text = "no tracks.json: only `ffgs run --method none` can be used".to_owned();

@@ -4,6 +4,7 @@ use crate::choice::{MethodChoice, MethodParser};
 use crate::device::{self, Device};
 use crate::registry::{CAPTURES, METHODS};
 use crate::stage::{self, Stage};
+use crate::terminal;
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand};
 use ffgs_dataset::ImageCheck;
@@ -17,12 +18,19 @@ use tracing::level_filters::LevelFilter;
 /// A capture is a folder with calibrated cameras (train_meta.json, test_meta.json), images (ims/), foreground masks
 /// (seg/), initial points (init_pt_cld.npz) and the motion that trackers found (tracks/).
 #[derive(Debug, Parser)]
-#[command(name = "ffgs", version, propagate_version = true)]
+#[command(name = "ffgs", version = VERSION, propagate_version = true, after_help = EXIT_CODES)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
 }
+
+/// Version and commit.
+pub const VERSION: &str = env!("FFGS_VERSION");
+
+const EXIT_CODES: &str = "\
+Exit status: 0 done; 1 an error, which is printed; 2 a wrong command line; 74 done, but some of
+what should have been printed could not be (standard output or error closed or full).";
 
 /// What to do.
 #[derive(Debug, Subcommand)]
@@ -67,7 +75,7 @@ pub struct LogArgs {
 }
 
 impl LogArgs {
-    /// Sends log messages to the standard error.
+    /// Sends log messages to the standard error, without colours: a log file is read as text.
     pub fn start(self) {
         let level = match (self.quiet, self.verbose) {
             (true, _) => LevelFilter::ERROR,
@@ -76,9 +84,10 @@ impl LogArgs {
             (_, 2) => LevelFilter::DEBUG,
             _ => LevelFilter::TRACE,
         };
-        let plain = tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(level);
+        let plain = tracing_subscriber::fmt().with_writer(terminal::LogWriter::default).with_max_level(level);
         // Fails only when there is a subscriber already, which is then as good.
-        let _ = plain.without_time().with_target(false).try_init();
+        let _ =
+            plain.with_ansi(false).log_internal_errors(false).without_time().with_target(false).try_init();
     }
 }
 
@@ -259,13 +268,7 @@ impl FromStr for FrameRange {
 
 /// Runs the program on its command line. An error is printed with its causes.
 pub fn main() -> ExitCode {
-    match dispatch(Cli::parse().command) {
-        Ok(code) => code,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    terminal::ended(dispatch(Cli::parse().command))
 }
 
 fn dispatch(command: Command) -> Result<ExitCode> {
@@ -273,7 +276,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Check(args) => {
             args.log.start();
             let check = crate::check::check_capture(&args.capture, ImageCheck::Decode, args.log.quiet)?;
-            print!("{check}");
+            terminal::print(check.to_string().trim_end());
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }
         Command::Prepare(args) => {
@@ -283,8 +286,9 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Convert(args) => crate::prepare::convert(&args)?,
         Command::Run(args) => {
             args.log.start();
+            crate::interrupt::explain_signals();
             let report = crate::run::run(&crate::request::from_args(&args)?)?;
-            println!("{}", report.display());
+            terminal::print(report.display());
         }
         Command::Render(args) => {
             args.log.start();
@@ -302,8 +306,8 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             args.log.start();
             crate::view::view(&args)?;
         }
-        Command::Methods => print!("{}", METHODS.table()),
-        Command::Formats => print!("captures:\n{}", CAPTURES.table()),
+        Command::Methods => terminal::print(METHODS.table().trim_end()),
+        Command::Formats => terminal::print(format_args!("captures:\n{}", CAPTURES.table().trim_end())),
         Command::Devices => device::list(),
         Command::Config(args) => crate::config_text::print(&args)?,
         Command::Stage(args) => {

@@ -1,6 +1,8 @@
 //! Every default of the method, in one TOML file.
 
-use anyhow::{Context, Result};
+use crate::config_ranges;
+use anyhow::{Context, Result, ensure};
+use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_motion::{AssociationConfig, MarkingConfig, MotionConfig};
 use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
@@ -8,6 +10,9 @@ use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+
+/// Most bytes of a configuration file.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// The configuration of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,11 +66,19 @@ impl Default for Config {
 impl Config {
     /// Reads a TOML file; keys that it leaves out keep their defaults, unknown keys are errors.
     pub fn read(path: &Path) -> Result<Self> {
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        toml::from_str(&text).with_context(|| {
-            format!("{} is not a valid configuration; `ffgs config` prints every key", path.display())
-        })
+        let text = read_text(path, MAX_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        let named =
+            || format!("{} is not a valid configuration; `ffgs config` prints every key", path.display());
+        let config: Self = toml::from_str(&text).with_context(named)?;
+        config.validate().with_context(named)?;
+        Ok(config)
+    }
+
+    /// Refuses settings outside their ranges, all of them in one message.
+    pub fn validate(&self) -> Result<()> {
+        let faults = config_ranges::faults(self);
+        ensure!(faults.is_empty(), "{}", faults.join("; "));
+        Ok(())
     }
 
     /// The defaults with the paper's motion initialisation to the letter (Algorithms 1 and 2).
@@ -116,5 +129,31 @@ mod tests {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(literal).motion(), literal);
         assert_eq!(Config::literal().with_motion(MotionConfig::default()), Config::default());
+    }
+
+    #[test]
+    fn a_file_with_a_setting_out_of_range_names_file_key_value_and_range() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.toml");
+        std::fs::write(&file, "seed = 3\n[association]\nmin_transmittance = 0.5\ncontributors = 64").unwrap();
+        assert_eq!(Config::read(&file).unwrap().association.contributors, 64);
+        std::fs::write(&file, "voronoi.k = 0\nfirst_frame.sh_degree = 4").unwrap();
+        let error = format!("{:#}", Config::read(&file).unwrap_err());
+        for part in ["settings.toml", "voronoi.k = 0: must be at least 1", "first_frame.sh_degree = 4"] {
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    /// Seventeen digits through run.json: a resume compares them with what the file says.
+    #[test]
+    fn every_number_survives_json_exactly() {
+        let mut config = Config::default();
+        config.marking.loss_warning = 0.472_749_088_465_466_8;
+        config.fusion.correlation_inflation = 1.433_973_882_466_274_7;
+        config.first_frame.position_rate = f32::from_bits(0x3951_b718);
+        let text = serde_json::to_string(&config).unwrap();
+        assert_eq!(serde_json::from_str::<Config>(&text).unwrap(), config);
+        let value = serde_json::to_value(config).unwrap();
+        assert_eq!(serde_json::from_value::<Config>(value).unwrap(), config);
     }
 }

@@ -40,7 +40,7 @@ pub fn print(args: &ConfigArgs) -> Result<()> {
         Preset::Default => Config::default(),
         Preset::Literal => Config::literal(),
     };
-    print!("{HEAD}{}", commented(&config.to_toml()?));
+    crate::terminal::print(format_args!("{HEAD}{}", commented(&config.to_toml()?).trim_end()));
     Ok(())
 }
 

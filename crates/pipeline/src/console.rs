@@ -1,18 +1,43 @@
 //! Progress on the terminal.
 
 use crate::record::{FrameRecord, Metrics};
+use crate::terminal;
 use ffgs_trainer::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-/// The bars of a run: one for the frames, one a lane while it works.
+/// The bars of a run: one for the frames, one a lane while it works. Where the error stream is no terminal, lines.
 pub struct Console {
     bars: MultiProgress,
     frames: ProgressBar,
+    lines: Option<Arc<Lines>>,
 }
 
 /// One lane's bar; it disappears with the lane.
-pub struct Lane(ProgressBar);
+pub struct Lane {
+    name: &'static str,
+    bar: ProgressBar,
+    lines: Option<Arc<Lines>>,
+}
+
+/// Lines of progress for a log file, not oftener than [`PACE`] between frames.
+struct Lines(Mutex<Instant>);
+
+/// Time between two lines of progress.
+const PACE: Duration = Duration::from_secs(10);
+
+impl Lines {
+    fn show(&self, line: impl FnOnce() -> String) {
+        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.elapsed() >= PACE {
+            *last = Instant::now();
+            terminal::note(line());
+        }
+    }
+}
 
 fn style(template: &str) -> ProgressStyle {
     // The templates are constants of this file; a broken one shows the default bar.
@@ -20,13 +45,15 @@ fn style(template: &str) -> ProgressStyle {
 }
 
 impl Console {
-    /// Bars on the error stream, hidden when `quiet` or when it is no terminal.
+    /// Bars on the error stream, lines when it is no terminal, nothing when `quiet`.
     pub fn new(quiet: bool, frames: Range<usize>) -> Self {
+        let as_lines = !quiet && !std::io::stderr().is_terminal();
+        let lines = as_lines.then(|| Arc::new(Lines(Mutex::new(Instant::now()))));
         let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let bars = MultiProgress::with_draw_target(target);
         let bar = bars.add(ProgressBar::new(frames.len() as u64));
         bar.set_style(style("frames {bar:30} {pos}/{len}  {msg}  {elapsed} passed"));
-        Self { bars, frames: bar }
+        Self { bars, frames: bar, lines }
     }
 
     /// A frame begins.
@@ -40,7 +67,7 @@ impl Console {
         let bar = self.bars.add(ProgressBar::new(iterations as u64));
         bar.set_style(style("  {prefix:12} {bar:24} {pos}/{len}  {msg}  {eta} left"));
         bar.set_prefix(name);
-        Lane(bar)
+        Lane { name, bar, lines: self.lines.clone() }
     }
 
     /// A frame is written.
@@ -50,7 +77,7 @@ impl Console {
             let values: Vec<f64> = record.views.iter().filter_map(f).collect();
             values.iter().sum::<f64>() / values.len().max(1) as f64
         };
-        tracing::info!(
+        self.say(&format!(
             "frame {}: PSNR {:.2} dB, MPSNR {:.2} dB, {} + {} Gaussians, {:.1} s",
             record.frame,
             of(|v| Some(v.psnr)),
@@ -58,9 +85,18 @@ impl Console {
             record.static_gaussians,
             record.dynamic_gaussians,
             record.log.seconds.get("wall").copied().unwrap_or(0.0)
-        );
+        ));
         for warning in &record.log.warnings {
             tracing::warn!("frame {}: {warning}", record.frame);
+        }
+    }
+
+    /// A line of the log file, or a message of `-v` beside the bars.
+    fn say(&self, line: &str) {
+        if self.lines.is_some() {
+            terminal::note(line);
+        } else {
+            tracing::info!("{line}");
         }
     }
 
@@ -79,29 +115,32 @@ impl Console {
         self.frames.finish_and_clear();
         let m = &metrics.mean;
         let show = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.2}"));
-        tracing::info!(
+        self.say(&format!(
             "mean over test views, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s a frame",
             show(m.psnr),
             show(m.mpsnr),
             show(m.ssim),
             show(m.seconds_per_frame)
-        );
+        ));
     }
 }
 
 impl Lane {
     /// Shows a step; the terminal is touched every 10 steps only, oftener in short lanes.
     pub fn show(&self, p: Progress) {
-        if p.iteration.is_multiple_of((p.iterations / 50).clamp(1, 10)) || p.iteration == p.iterations {
-            self.0.set_position(p.iteration as u64);
-            self.0
-                .set_message(format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians));
+        let what = || format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians);
+        if let Some(lines) = &self.lines {
+            lines.show(|| format!("{} {}/{}  {}", self.name, p.iteration, p.iterations, what()));
+        } else if p.iteration.is_multiple_of((p.iterations / 50).clamp(1, 10)) || p.iteration == p.iterations
+        {
+            self.bar.set_position(p.iteration as u64);
+            self.bar.set_message(what());
         }
     }
 }
 
 impl Drop for Lane {
     fn drop(&mut self) {
-        self.0.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }

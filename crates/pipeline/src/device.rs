@@ -1,5 +1,6 @@
 //! Where to compute: `--device auto | cpu | gpu[:N,N]`.
 
+use crate::terminal;
 use anyhow::Result;
 use ffgs_gpu::Gpu;
 use std::str::FromStr;
@@ -65,14 +66,14 @@ pub(crate) fn name(gpus: &[Gpu]) -> String {
 pub fn list() {
     let adapters = ffgs_gpu::adapters();
     for adapter in &adapters {
-        println!("{adapter}");
+        terminal::print(adapter);
     }
     if adapters.is_empty() {
-        println!("no GPU adapter");
+        terminal::print("no GPU adapter");
     }
     let chosen: Vec<String> = ffgs_gpu::hardware_adapters().iter().map(ToString::to_string).collect();
     let chosen = if chosen.is_empty() { "cpu".to_owned() } else { format!("gpu:{}", chosen.join(",")) };
-    println!("--device auto: {chosen}");
+    terminal::print(format_args!("--device auto: {chosen}"));
 }
 
 #[cfg(test)]

@@ -2,9 +2,11 @@
 
 use crate::cli::EvalArgs;
 use crate::lanes::Lanes;
+use crate::lock::FolderLock;
 use crate::record::{FrameRecord, Metrics, ViewMetrics, publish, read_json, write_json};
 use crate::render::{FinishedRun, progress};
 use crate::scoring::{load_tests, score};
+use crate::terminal;
 use anyhow::{Result, bail};
 use ffgs_method::Split;
 use ffgs_report::FramePictures;
@@ -16,11 +18,12 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     if capture.views(Split::Test).is_empty() {
         bail!("{} has no test views to measure", capture.root().display());
     }
+    let _lock = FolderLock::take(&args.run)?;
     let bar = progress(args.log.quiet, "frames", run.frames.len());
     let gpus = args.device.open()?;
     let mut records = Vec::new();
     for &frame in &run.frames {
-        let mut record: FrameRecord = read_json(&folder.record(frame))?;
+        let mut record = run.record(frame)?;
         let truths = load_tests(capture, frame)?;
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
@@ -32,8 +35,10 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    print!("{}", table(&records));
-    publish(folder, &run.manifest, &Metrics::of(records))
+    let table = table(&records);
+    publish(folder, &run.manifest, &Metrics::of(records))?;
+    terminal::print(table.trim_end());
+    Ok(())
 }
 
 /// One row a frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.

@@ -6,6 +6,7 @@ use crate::export_stream::export_stream;
 use crate::measure::{Measurement, Shown, measure, table};
 use crate::record::{read_json, write_json};
 use crate::render::{FinishedRun, progress};
+use crate::terminal;
 use anyhow::{Result, bail, ensure};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
@@ -144,10 +145,10 @@ fn export_files(args: &ExportArgs, format: &'static dyn SplatWriter, out: PathBu
     let export = Export { args, run, format, out, axes };
     let measured = export.frames(&frames)?;
     if args.measure {
-        print!("{}", table(&measured));
+        terminal::print(table(&measured).trim_end());
         write_json(&export.out.join("measure.json"), &measured)?;
     }
-    println!("{}", export.out.display());
+    terminal::print(export.out.display());
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use crate::measure::{Measurement, Shown, measure, table};
 use crate::page::write_page;
 use crate::record::write_json;
 use crate::render::{FinishedRun, progress};
+use crate::terminal;
 use crate::view::Views;
 use anyhow::{Result, bail};
 use ffgs_core::Scene;
@@ -58,14 +59,14 @@ pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> R
         write_json(&out.join("cameras.json"), &Views::of(&*run.capture, false)?)?;
     }
     let mut reader = Reader::open(out)?;
-    print!("{}", bytes_table(reader.entries()));
+    terminal::print(bytes_table(reader.entries()).trim_end());
     if args.measure {
         let frames = chosen(&run, args.frames)?;
         let measured = measure_all(&run, &mut reader, &frames, Axes::of(&run, frames[0])?)?;
-        print!("{}", table(&measured));
+        terminal::print(table(&measured).trim_end());
         write_json(&out.join("measure.json"), &measured)?;
     }
-    println!("{}", out.display());
+    terminal::print(out.display());
     Ok(())
 }
 

@@ -17,6 +17,9 @@ pub fn select_views(capture: &dyn Capture, names: Option<&[String]>) -> Result<V
             anyhow::anyhow!("--train-views: the capture has no camera {name}; it has {}", all.join(", "))
         })
     };
+    if let Some((_, twice)) = names.iter().enumerate().find(|(i, name)| names[..*i].contains(name)) {
+        anyhow::bail!("--train-views: {twice} is named twice");
+    }
     names.iter().map(find).collect()
 }
 

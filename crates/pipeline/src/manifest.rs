@@ -2,11 +2,15 @@
 
 use crate::choice::MethodChoice;
 use crate::config::Config;
+use crate::config_ranges::leaves;
+use crate::provenance::capture_digest;
 use crate::record::{RunFolder, read_json, write_json};
 use crate::run::RunRequest;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
+use ffgs_method::Capture;
 use ffgs_report::Fact;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -28,8 +32,11 @@ pub struct Manifest {
     pub first_frame: Option<PathBuf>,
     /// Device.
     pub device: String,
-    /// Program version.
+    /// Program version and commit.
     pub version: String,
+    /// Digest of cameras, points and the list of trackers; empty in old runs.
+    #[serde(default)]
+    pub capture_digest: String,
     /// Processor architecture, its threads, operating system.
     pub machine: String,
     /// Every setting, the seed included.
@@ -38,9 +45,17 @@ pub struct Manifest {
 
 impl Manifest {
     /// Describes a request.
-    pub fn new(request: &RunRequest, frames: &Range<usize>, device: String) -> Result<Self> {
+    pub fn new(
+        request: &RunRequest,
+        capture: &dyn Capture,
+        frames: &Range<usize>,
+        device: String,
+    ) -> Result<Self> {
         let path = std::fs::canonicalize(&request.capture)
             .with_context(|| format!("no capture at {}", request.capture.display()))?;
+        for named in [Some(&path), request.first_frame.as_ref()].into_iter().flatten() {
+            ensure!(named.to_str().is_some(), "{} is not UTF-8: rename the folder", named.display());
+        }
         Ok(Self {
             capture: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             capture_path: path,
@@ -49,7 +64,8 @@ impl Manifest {
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
             device,
-            version: env!("CARGO_PKG_VERSION").into(),
+            version: crate::cli::VERSION.into(),
+            capture_digest: capture_digest(capture)?,
             machine: format!(
                 "{} {}, {} threads",
                 std::env::consts::OS,
@@ -62,30 +78,60 @@ impl Manifest {
 
     /// Takes the output folder for this run: an empty one, or on resume one that the same run began.
     pub fn claim(&self, folder: &RunFolder, resume: bool) -> Result<()> {
-        let file = folder.manifest();
+        let (file, out) = (folder.manifest(), folder.0.display());
         if file.exists() {
-            let other: Self = read_json(&file)?;
-            if !self.continues(&other) {
-                bail!(
-                    "{} holds another run ({}, {}); choose another --out or remove the folder",
-                    folder.0.display(),
-                    other.capture,
-                    other.method
-                );
-            }
-            if !resume && has_frames(&folder.0) {
-                bail!("{} holds finished frames; add --resume, or choose another --out", folder.0.display());
-            }
+            let differences = self.differences(&read_json(&file)?);
+            ensure!(
+                differences.is_empty(),
+                "{out} holds another run: {}; choose another --out or remove the folder",
+                differences.join("; ")
+            );
+        }
+        if has_frames(&folder.0) {
+            ensure!(resume, "{out} holds finished frames; add --resume, or choose another --out");
+            ensure!(
+                file.exists(),
+                "{out} holds finished frames but no run.json, which says what they are of; bring it back or choose \
+                 another --out"
+            );
         }
         write_json(&file, self)
     }
 
-    /// Threads and the last frame may differ: results do not depend on them.
-    fn continues(&self, other: &Self) -> bool {
+    /// What keeps this run from going on with `other`, a setting each. Threads and the last frame may differ: results do
+    /// not depend on them. So may the capture's place when its content is the same.
+    fn differences(&self, other: &Self) -> Vec<String> {
         let mut same = other.clone();
         same.machine.clone_from(&self.machine);
         same.frames.end = self.frames.end;
-        same == *self
+        if other.capture_digest.is_empty() || other.capture_digest == self.capture_digest {
+            same.capture_digest.clone_from(&self.capture_digest);
+        }
+        if other.capture_digest == self.capture_digest {
+            (same.capture, same.capture_path) = (self.capture.clone(), self.capture_path.clone());
+        }
+        different_settings(&same, self)
+    }
+
+    /// Refuses a first frame of another capture and says what else it was made with.
+    pub fn check_first_frame(&self, run: &RunFolder) -> Result<()> {
+        let other: Self = read_json(&run.manifest()).context("--first-frame: not a run")?;
+        let known = !other.capture_digest.is_empty();
+        let same = if known {
+            other.capture_digest == self.capture_digest
+        } else {
+            other.capture_path == self.capture_path
+        };
+        let out = run.0.display();
+        ensure!(same, "--first-frame: {out} is a run of another capture, or its capture has changed since");
+        let mut theirs = self.clone();
+        theirs.config.first_frame = other.config.first_frame;
+        (theirs.config.seed, theirs.config.sky_face_size) = (other.config.seed, other.config.sky_face_size);
+        theirs.train_views = other.train_views;
+        for difference in different_settings(&theirs, self) {
+            tracing::warn!("the first frame is that of {out}: {difference}");
+        }
+        Ok(())
     }
 
     /// For the report.
@@ -100,6 +146,25 @@ impl Manifest {
             fact("seed", self.config.seed.to_string()),
         ]
     }
+}
+
+/// `KEY is A there and B here` for every value that differs.
+fn different_settings(there: &Manifest, here: &Manifest) -> Vec<String> {
+    // Texts, numbers and lists alone, as `write_json` relies on too.
+    let [there, here] = [there, here].map(|manifest| serde_json::to_value(manifest).unwrap_or_default());
+    let mut found = BTreeMap::new();
+    leaves("", &there, &mut |key, value| {
+        found.insert(key.to_owned(), value.clone());
+    });
+    let mut differences = Vec::new();
+    leaves("", &here, &mut |key, value| {
+        let before = found.remove(key).unwrap_or_default();
+        if before != *value {
+            let key = key.strip_prefix("config.").unwrap_or(key);
+            differences.push(format!("{key} is {before} there and {value} here"));
+        }
+    });
+    differences
 }
 
 fn has_frames(folder: &Path) -> bool {

@@ -10,7 +10,7 @@ pub const TRACKERS: Method = Method {
     usage: "trackers",
     former: Some("fused"),
     summary: "moved by all trackers, fused (the paper's method)",
-    build: |parts, _| Ok(moved_by(parts, None)),
+    build: all_trackers,
 };
 
 /// The same with one tracker.
@@ -31,6 +31,16 @@ pub const NONE: Method = Method {
 
 fn moved_by<'a>(parts: &Parts<'a>, only: Option<String>) -> Box<dyn MotionMethod + 'a> {
     Box::new(TrackerMotion { config: parts.config.motion(), only, gpu: parts.gpu })
+}
+
+fn all_trackers<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    if parts.tracks.is_empty() {
+        bail!(
+            "the capture has no trackers (tracks/tracks.json), so nothing says how things move; add some, or use \
+             --method none to start each frame where the last one ended"
+        );
+    }
+    Ok(moved_by(parts, None))
 }
 
 fn one_tracker<'a>(parts: &Parts<'a>, name: &str) -> Result<Box<dyn MotionMethod + 'a>> {

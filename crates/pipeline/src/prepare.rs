@@ -1,6 +1,7 @@
 //! `ffgs prepare`: footage to a capture.
 
 use crate::cli::LogArgs;
+use crate::terminal;
 use anyhow::Result;
 use clap::Args;
 use ffgs_dataset::Capture;
@@ -136,7 +137,7 @@ pub fn run(args: &PrepareArgs) -> Result<()> {
     let summary = ffgs_prepare::prepare(&request, &bars);
     bars.finish();
     let summary = summary.map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?;
-    print!("{summary}");
+    terminal::print(summary.to_string().trim_end());
     Ok(())
 }
 
@@ -172,7 +173,7 @@ impl Progress for Bars {
         }
         if is_new || tenth > last.1 {
             if !self.quiet && !std::io::stderr().is_terminal() {
-                eprintln!("{step}: {done} of {total}");
+                terminal::note(format_args!("{step}: {done} of {total}"));
             }
             *last = (step.to_owned(), tenth);
         }

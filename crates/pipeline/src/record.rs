@@ -1,8 +1,9 @@
 //! What a run writes, and reads again on resume: frame folders, metrics, the report.
 
 use crate::manifest::Manifest;
-use anyhow::{Context, Result};
-use ffgs_core::StageLog;
+use anyhow::{Context, Result, bail};
+use ffgs_core::{StageLog, read_text};
+use ffgs_method::{Capture, Split};
 use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, ViewReport};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
@@ -39,6 +40,9 @@ pub struct FrameRecord {
     pub dynamic_gaussians: usize,
     /// Bytes of the frame's splat files.
     pub bytes: u64,
+    /// Digest of the images, masks and tracks that the frame was made from and measured on; absent in old runs.
+    #[serde(default)]
+    pub inputs: Option<String>,
     /// Most memory that the program had held when the frame was done (MiB); absent where the system does not say.
     #[serde(default)]
     pub peak_memory_mib: Option<f64>,
@@ -152,10 +156,49 @@ impl RunFolder {
         self.0.join("motion-accuracy.json")
     }
 
+    /// Reads the frame's numbers, which must be of this frame and of cameras that the capture has: their names become
+    /// paths.
+    pub fn read_record(&self, frame: usize, capture: &dyn Capture) -> Result<FrameRecord> {
+        let file = self.record(frame);
+        let record: FrameRecord = read_json(&file)?;
+        let known = |camera: &str| capture.views(Split::Test).iter().any(|view| view == camera);
+        let stranger = record.views.iter().find(|view| !known(&view.camera));
+        let fault = match stranger {
+            _ if record.frame != frame => format!("it is of frame {}", record.frame),
+            Some(view) => format!("the capture has no test camera {:?}", view.camera),
+            None => return Ok(record),
+        };
+        bail!("{}: {fault}; remove this frame's folder and resume", file.display())
+    }
+
+    /// Removes the half-written files of runs that were killed; only for who holds the folder.
+    pub fn remove_half_written(&self) -> Result<()> {
+        let mut folders = vec![self.0.clone()];
+        for frame in entries(&self.0.join("frames")) {
+            folders.extend([frame.join("test"), frame]);
+        }
+        for file in folders.iter().flat_map(|folder| entries(folder)).filter(|file| is_half_written(file)) {
+            std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+        }
+        Ok(())
+    }
+
     /// The run's own description.
     pub fn manifest(&self) -> PathBuf {
         self.0.join("run.json")
     }
+}
+
+/// What a folder holds; nothing for none.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
+}
+
+/// `NAME.PID.part`, as `write_atomically` calls a file before it is complete.
+fn is_half_written(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let process = name.strip_suffix(".part").and_then(|name| name.rsplit_once('.'));
+    process.is_some_and(|(_, pid)| pid.parse::<u32>().is_ok())
 }
 
 /// Writes JSON through a temporary file.
@@ -167,11 +210,15 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     .with_context(|| format!("cannot write {}; is the folder writable, the disk full?", path.display()))
 }
 
+/// Most bytes of a JSON file of a run.
+const MAX_JSON_BYTES: u64 = 1 << 28;
+
 /// Reads JSON.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_str(&text)
-        .with_context(|| format!("{} is damaged; remove it and resume", path.display()))
+    let text = read_text(path, MAX_JSON_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| {
+        format!("{} is damaged; bring it back from a copy, or run again with another --out", path.display())
+    })
 }
 
 /// Writes `metrics.json` and `report.html`. The report copies the encoded pictures of each frame from its folder.
@@ -199,7 +246,8 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
             .flat_map(|f| f.log.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
             .collect(),
     };
-    Ok(ffgs_report::write_report(&folder.0.join("report.html"), &input)?)
+    let report = folder.0.join("report.html");
+    ffgs_report::write_report(&report, &input).with_context(|| format!("cannot write {}", report.display()))
 }
 
 fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
@@ -218,5 +266,43 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
         bytes: f.bytes,
         seconds: f.log.seconds.clone(),
         pictures: Some(folder.pictures(f.frame)).filter(|path| path.exists()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_half_written_files_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder(folder.path().to_owned());
+        std::fs::create_dir_all(run.frame(0).join("test")).unwrap();
+        let [half, report, mine] =
+            ["state.ffgs.123.part", "test/a.png.9.part", "my.part"].map(|n| run.frame(0).join(n));
+        let outside = folder.path().join("run.json.77.part");
+        for file in [&half, &report, &mine, &outside, &run.state(0)] {
+            std::fs::write(file, "x").unwrap();
+        }
+        run.remove_half_written().unwrap();
+        assert!(!half.exists() && !report.exists() && !outside.exists());
+        assert!(mine.exists() && run.state(0).exists());
+    }
+
+    #[test]
+    fn a_record_of_another_frame_or_of_names_that_leave_the_folder_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
+        let capture = crate::registry::open_capture(&sample).unwrap();
+        let run = RunFolder(folder.path().to_owned());
+        let known = capture.views(Split::Test)[0].clone();
+        let read = |frame, camera: &str| {
+            let views = vec![ViewMetrics { camera: camera.into(), ..ViewMetrics::default() }];
+            write_json(&run.record(1), &FrameRecord { frame, views, ..FrameRecord::default() }).unwrap();
+            run.read_record(1, &*capture).map_err(|error| error.to_string())
+        };
+        assert_eq!(read(1, &known).unwrap().views.len(), 1);
+        assert!(read(2, &known).unwrap_err().contains("frame.json: it is of frame 2"));
+        assert!(read(1, "../../../../secret").unwrap_err().contains("no test camera \"../../../../secret\""));
     }
 }

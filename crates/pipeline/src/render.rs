@@ -7,6 +7,7 @@ use crate::record::{FrameRecord, RunFolder, read_json};
 use crate::registry::open_capture;
 use crate::scoring::{render as render_scene, write_png};
 use crate::state;
+use crate::terminal;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, ImageRgb8, Scene};
 use ffgs_method::{Capture, Split, ViewAt};
@@ -63,13 +64,17 @@ impl FinishedRun {
 
     /// The numbers of every finished frame.
     pub fn records(&self) -> Result<Vec<FrameRecord>> {
-        self.frames.iter().map(|&frame| read_json(&self.folder.record(frame))).collect()
+        self.frames.iter().map(|&frame| self.record(frame)).collect()
+    }
+
+    /// The numbers of a finished frame.
+    pub fn record(&self, frame: usize) -> Result<FrameRecord> {
+        self.folder.read_record(frame, &*self.capture)
     }
 
     /// Reads the scene of a frame.
     pub fn scene(&self, frame: usize) -> Result<Scene> {
-        let path = self.folder.state(frame);
-        state::load(&path).with_context(|| format!("cannot use {}", path.display()))
+        state::load(&self.folder.state(frame), frame)
     }
 
     /// The frame asked for, or the last one.
@@ -126,7 +131,7 @@ pub fn render(args: &RenderArgs) -> Result<()> {
         }
     }
     bar.finish_and_clear();
-    println!("{}", out.display());
+    terminal::print(out.display());
     if args.orbit { write_video(&out, &stem) } else { Ok(()) }
 }
 
@@ -235,7 +240,7 @@ fn write_video(folder: &Path, stem: &str) -> Result<()> {
         bail!("the pictures are written, but ffmpeg made no mp4 of them: {}", reason.trim());
     }
     std::fs::rename(&part, &video).with_context(|| format!("cannot write {}", video.display()))?;
-    println!("{}", video.display());
+    terminal::print(video.display());
     Ok(())
 }
 

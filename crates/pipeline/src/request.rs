@@ -16,6 +16,7 @@ pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
         config.background.static_method = StaticMethod::Steps;
         config.background.static_iterations = steps;
     }
+    config.validate()?;
     Ok(RunRequest {
         capture: args.capture.clone(),
         out: args.out.clone(),

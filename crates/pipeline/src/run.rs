@@ -9,8 +9,10 @@ use crate::device::{self, Device};
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::knowledge::{self, Predicted};
 use crate::lanes::{Lanes, Photographed};
+use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
+use crate::provenance::frame_digest;
 use crate::record::{FrameRecord, Metrics, RunFolder, publish, read_json, write_json};
 use crate::registry::open_capture;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
@@ -100,10 +102,13 @@ struct Job<'a> {
     manifest: Manifest,
     /// None = the CPU.
     gpus: Vec<Gpu>,
+    /// Nobody else writes into the folder.
+    _lock: FolderLock,
 }
 
 impl<'a> Job<'a> {
     fn open(request: &'a RunRequest) -> Result<Self> {
+        request.config.validate()?;
         // Every frame decodes its images when it comes to them; once is enough.
         let check = check_capture(&request.capture, ImageCheck::Probe, request.quiet)?;
         if !check.is_usable() {
@@ -114,20 +119,25 @@ impl<'a> Job<'a> {
         if views.len() < 2 {
             bail!("positions need at least two training views; {} selected", views.len());
         }
-        let tracks = ffgs_tracks::sources(&request.capture)?;
+        let tracks = ffgs_tracks::sources(&*capture)?;
         let count = capture.frames();
         let frames = request.frames.map_or(0..count, |f| f.start..f.end.unwrap_or(count));
         if frames.is_empty() || frames.end > count {
             bail!("--frames {}..{}: the capture has frames 0..{count}", frames.start, frames.end);
         }
         let folder = RunFolder(request.out.clone());
+        require_start(request, &folder, frames.start)?;
         let gpus = request.device.open()?;
-        let manifest = Manifest::new(request, &frames, device::name(&gpus))?;
-        let job = Self { request, capture, tracks, views, frames, folder, manifest, gpus };
+        let manifest = Manifest::new(request, &*capture, &frames, device::name(&gpus))?;
         // A method that cannot be made leaves the output folder untouched.
-        job.method()?;
-        job.manifest.claim(&job.folder, request.resume)?;
-        Ok(job)
+        request.method.build(&Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() })?;
+        if let Some(run) = &request.first_frame {
+            manifest.check_first_frame(&RunFolder(run.clone()))?;
+        }
+        let lock = FolderLock::take(&folder.0)?;
+        manifest.claim(&folder, request.resume)?;
+        folder.remove_half_written()?;
+        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpus, _lock: lock })
     }
 
     fn method(&self) -> Result<Box<dyn MotionMethod + '_>> {
@@ -138,6 +148,26 @@ impl<'a> Job<'a> {
     /// For errors of a method: which one it is.
     fn named(&self, what: &str) -> String {
         format!("method {}: {what}", self.request.method)
+    }
+
+    /// The numbers of a finished frame, whose inputs must still be those that it was made from.
+    fn finished_record(&self, frame: usize) -> Result<FrameRecord> {
+        let record = self.folder.read_record(frame, &*self.capture)?;
+        if let Some(inputs) = &record.inputs
+            && *inputs != self.inputs(frame)?
+        {
+            bail!(
+                "an image, mask or track of frame {frame} in {} is not what {} was made from; bring it back, or run \
+                 again with another --out",
+                self.capture.root().display(),
+                self.folder.frame(frame).display()
+            );
+        }
+        Ok(record)
+    }
+
+    fn inputs(&self, frame: usize) -> Result<String> {
+        frame_digest(&*self.capture, &self.views, frame)
     }
 
     fn config(&self) -> &Config {
@@ -156,10 +186,10 @@ impl<'a> Job<'a> {
     fn finished_frames(&self, method: &mut dyn MotionMethod) -> Result<(Metrics, Option<Last>)> {
         let finished = |frame: &usize| self.request.resume && self.folder.state(*frame).exists();
         let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
-        let records = frames.iter().map(|&frame| read_json(&self.folder.record(frame)));
+        let records = frames.iter().map(|&frame| self.finished_record(frame));
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
         let load = |&frame: &usize| -> Result<Last> {
-            let scene = state::load(&self.folder.state(frame))?;
+            let scene = state::load(&self.folder.state(frame), frame)?;
             let saved = self.folder.method_state(frame);
             let saved = if saved.exists() { std::fs::read(&saved)? } else { Vec::new() };
             method.restore(&saved, &scene).with_context(|| self.named("state"))?;
@@ -239,7 +269,7 @@ impl<'a> Job<'a> {
     /// The first frame of another run; marked again where that run marked otherwise. `views` begins with the training
     /// views.
     fn taken_from(&self, run: &RunFolder, frame: usize, views: &[TrainingView]) -> Result<Scene> {
-        let scene = state::load(&run.state(frame)).context("--first-frame: not a run of this capture")?;
+        let scene = state::load(&run.state(frame), frame).context("--first-frame")?;
         let other: Result<Manifest> = read_json(&run.manifest());
         if other.is_ok_and(|other| other.config.marking == self.config().marking) {
             return Ok(scene);
@@ -427,6 +457,7 @@ impl<'a> Job<'a> {
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
+        record.inputs = Some(self.inputs(frame)?);
         record.peak_memory_mib = crate::memory::peak_mib();
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
         record.bytes = stored.iter().map(size).sum::<u64>()
@@ -462,6 +493,19 @@ fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
     let file = folder.motion_accuracy();
     if file.exists() {
         std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+    }
+    Ok(())
+}
+
+/// A frame after the first starts from the one before it: the initial points and init views are of frame 0.
+fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Result<()> {
+    let begun = request.resume && folder.state(start).exists();
+    if start > 0 && request.first_frame.is_none() && !begun {
+        bail!(
+            "--frames {start}..: the initial points are of frame 0; run the frames 0..{next} first, then give that \
+             output folder as --first-frame",
+            next = start + 1
+        );
     }
     Ok(())
 }
@@ -534,6 +578,7 @@ mod tests {
         assert!(error.contains("the GPU was lost") && error.contains("--resume"), "{error}");
         assert!(!job.folder.state(1).exists(), "the frame did not finish");
         assert!(state(&cut, 0) == first, "the finished frame stays");
+        drop(job);
 
         run(&request(&cut, &[0, 0, 0], 2, true)).unwrap();
         assert!(state(&cut, 1) == state(&whole, 1));

@@ -1,8 +1,9 @@
 //! The exact state after a frame, from which a run goes on.
 
 use anyhow::{Result, bail};
-use ffgs_core::{Dynamic, Knowledge, Scene, SkyCube};
+use ffgs_core::{Dynamic, Gaussians, Knowledge, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
+use glam::DMat3;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -35,6 +36,11 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         .into(),
         ..FrameState::default()
     };
+    if let Some(fault) = fault(&state) {
+        bail!(
+            "frame {frame} went wrong: {fault}; nothing of it is kept. Is a rate of the configuration too large?"
+        );
+    }
     Ok(save_checkpoint(path, &state)?)
 }
 
@@ -47,20 +53,22 @@ fn reals(knowledge: &Knowledge) -> BTreeMap<String, f64> {
     drift.chain(NOISE.iter().zip(knowledge.noise)).map(|(name, value)| ((*name).to_owned(), value)).collect()
 }
 
-/// Reads a state.
-pub fn load(path: &Path) -> Result<Scene> {
+/// Reads the state after `frame`.
+///
+/// # Errors
+/// A file that is damaged, of another frame, or of layers that no run can go on from.
+pub fn load(path: &Path, frame: usize) -> Result<Scene> {
     let state = load_checkpoint(path)?;
-    let texels = state.sky.as_chunks::<3>().0.to_vec();
-    if state.sky_face_size == 0 || texels.len() != 6 * state.sky_face_size * state.sky_face_size {
-        bail!(
-            "{}: the sky has {} texels for faces of {} px",
-            path.display(),
-            texels.len(),
-            state.sky_face_size
-        );
+    let fault = if state.frame == frame as u64 {
+        fault(&state)
+    } else {
+        Some(format!("it is the state after frame {}", state.frame))
+    };
+    if let Some(fault) = fault {
+        bail!("{}: {fault}; remove this frame's folder and resume", path.display());
     }
     let mut sky = SkyCube::filled(state.sky_face_size, [0.0; 3]);
-    sky.texels = texels;
+    sky.texels = state.sky.as_chunks::<3>().0.to_vec();
     let real = |name: &&str| state.reals.get(*name).copied().unwrap_or(0.0);
     let knowledge = Knowledge {
         information: state.dynamic_information,
@@ -81,4 +89,98 @@ pub fn load(path: &Path) -> Result<Scene> {
         doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
     Ok(Scene { static_layer: state.static_layer, dynamic, sky })
+}
+
+/// What keeps a run from going on; `None` for a sound state.
+fn fault(state: &FrameState) -> Option<String> {
+    let (fixed, moving) = (&state.static_layer, &state.dynamic_layer);
+    if state.sky_face_size == 0 {
+        return Some("it has no sky".into());
+    }
+    if state.dynamic_covariances.len() != moving.len() {
+        return Some(format!(
+            "{} covariances of {} Gaussians",
+            state.dynamic_covariances.len(),
+            moving.len()
+        ));
+    }
+    if state.dynamic_ids.len() != moving.len() {
+        return Some(format!("{} ids of {} Gaussians", state.dynamic_ids.len(), moving.len()));
+    }
+    if fixed.sh_degree() != moving.sh_degree() {
+        let degrees = (fixed.sh_degree(), moving.sh_degree());
+        return Some(format!("its layers have spherical harmonics of degrees {degrees:?}"));
+    }
+    let not_a_number = |what: &str| Some(format!("{what} is not a number"));
+    for (name, layer) in [("static", fixed), ("dynamic", moving)] {
+        if let Some(column) = column_not_finite(layer) {
+            return not_a_number(&format!("{column} of the {name} layer"));
+        }
+    }
+    if state.dynamic_covariances.iter().any(DMat3::is_nan) {
+        return not_a_number("a covariance");
+    }
+    if !state.sky.iter().all(|v| v.is_finite()) {
+        return not_a_number("a texel of the sky");
+    }
+    if state.q.is_nan() { not_a_number("the process noise") } else { None }
+}
+
+fn column_not_finite(layer: &Gaussians) -> Option<&'static str> {
+    let columns = [
+        ("a position", layer.means.as_flattened()),
+        ("a rotation", layer.quats.as_flattened()),
+        ("a scale", layer.log_scales.as_flattened()),
+        ("an opacity", &layer.opacity_logits),
+        ("a colour", layer.sh.as_flattened()),
+    ];
+    columns.into_iter().find(|(_, values)| !values.iter().all(|v| v.is_finite())).map(|(name, _)| name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    type Change = fn(&mut FrameState);
+
+    fn sound() -> FrameState {
+        FrameState {
+            frame: 1,
+            static_layer: Gaussians::zeros(2, 1),
+            dynamic_layer: Gaussians::zeros(1, 1),
+            dynamic_covariances: vec![DMat3::from_diagonal(DVec3::ONE)],
+            dynamic_ids: vec![0],
+            next_id: 1,
+            sky_face_size: 1,
+            sky: vec![0.5; 18],
+            ..FrameState::default()
+        }
+    }
+
+    #[test]
+    fn a_state_that_no_run_can_go_on_from_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("state.ffgs");
+        save_checkpoint(&path, &sound()).unwrap();
+        assert_eq!(load(&path, 1).unwrap().dynamic.gaussians.len(), 1);
+        let faults: [(Change, &str); 9] = [
+            (|s| s.frame = 2, "after frame 2"),
+            (|s| s.dynamic_covariances.clear(), "0 covariances of 1"),
+            (|s| s.dynamic_ids.clear(), "0 ids of 1"),
+            (|s| s.dynamic_layer = Gaussians::zeros(1, 2), "degrees (1, 2)"),
+            (|s| s.static_layer.means[1][2] = f32::NAN, "a position of the static layer"),
+            (|s| s.dynamic_layer.sh[0][0] = f32::INFINITY, "a colour of the dynamic layer"),
+            (|s| s.dynamic_covariances[0].x_axis.y = f64::NAN, "a covariance is not a number"),
+            (|s| s.sky[3] = f32::NAN, "a texel of the sky"),
+            (|s| (s.sky_face_size, s.sky) = (0, Vec::new()), "no sky"),
+        ];
+        for (change, words) in faults {
+            let mut changed = sound();
+            change(&mut changed);
+            save_checkpoint(&path, &changed).unwrap();
+            let error = load(&path, 1).err().unwrap().to_string();
+            assert!(error.contains(words) && error.contains("state.ffgs"), "{error}");
+        }
+    }
 }

@@ -4,6 +4,7 @@ use crate::cli::LogArgs;
 use crate::export_stream::{StreamExport, StreamOptions};
 use crate::page::{ENGINE, FILES, engine};
 use crate::render::FinishedRun;
+use crate::terminal;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use ffgs_method::{Capture, Split, ViewAt};
@@ -58,7 +59,7 @@ pub fn view(args: &ViewArgs) -> Result<()> {
         site = site.with("photo", Source::Lookup(Box::new(move |name| photograph(&*run.capture, name))));
     }
     let viewer = Viewer::start(site.with("", Source::Folder(stream.clone())), args.port)?;
-    println!("{}", viewer.url());
+    terminal::print(viewer.url());
     if is_run {
         return follow(&args.folder, &stream);
     }

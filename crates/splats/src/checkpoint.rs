@@ -3,10 +3,10 @@
 use crate::bytes::{Cursor, put_f32s, put_f64s, put_text, put_u64};
 use crate::error::InFile;
 use crate::{Problem, SplatError};
-use ffgs_core::{Gaussians, write_atomically};
+use ffgs_core::{Gaussians, open_input, write_atomically};
 use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
@@ -67,9 +67,11 @@ pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError
     write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
 }
 
-/// Reads a checkpoint; a truncated or altered file, or one of another version, is an error.
+/// Reads a checkpoint; a truncated or altered file, one of another version, or one whose columns do not go together,
+/// is an error.
 pub fn load_checkpoint(path: &Path) -> Result<FrameState, SplatError> {
-    let bytes = std::fs::read(path).in_file(path)?;
+    let mut bytes = Vec::new();
+    open_input(path).and_then(|mut file| file.read_to_end(&mut bytes)).in_file(path)?;
     payload(&bytes).and_then(|(version, payload)| decode(version, payload)).in_file(path)
 }
 
@@ -162,7 +164,7 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
-    Ok(FrameState {
+    let state = FrameState {
         frame,
         static_layer,
         dynamic_layer,
@@ -178,7 +180,31 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
         dynamic_flexibility,
         reals,
         integers,
-    })
+    };
+    check_lengths(&state).map(|()| state)
+}
+
+/// A sky has the texels of its faces, and every dynamic Gaussian the same columns or none of them does.
+fn check_lengths(state: &FrameState) -> Result<(), Problem> {
+    let texels = state.sky_face_size.checked_pow(2).and_then(|texels| texels.checked_mul(18));
+    if texels != Some(state.sky.len()) {
+        let (face, found) = (state.sky_face_size, state.sky.len());
+        return Err(Problem::Corrupt(format!("a sky of faces of {face} px holds {found} values")));
+    }
+    let (fixed, moving) = (state.static_layer.len(), state.dynamic_layer.len());
+    for (what, found, n) in [
+        ("covariances", state.dynamic_covariances.len(), moving),
+        ("last steps", state.dynamic_steps.len(), moving),
+        ("ids", state.dynamic_ids.len(), moving),
+        ("values of flexibility", state.dynamic_flexibility.len(), moving),
+        ("rows of information", state.dynamic_information.len(), moving),
+        ("rows of information", state.static_information.len(), fixed),
+    ] {
+        if found != 0 && found != n {
+            return Err(Problem::Corrupt(format!("{found} {what} of {n} Gaussians")));
+        }
+    }
+    Ok(())
 }
 
 /// Ids and the next free one; versions before 3 had none, and their Gaussians are numbered.

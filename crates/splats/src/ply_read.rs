@@ -1,7 +1,7 @@
 use crate::error::InFile;
 use crate::ply_header::{Element, Encoding, Property, Scalar, read_header};
 use crate::{Problem, SplatError};
-use ffgs_core::{Gaussians, sh_coefficients};
+use ffgs_core::{Gaussians, open_input, sh_coefficients};
 use glam::DMat3;
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek};
@@ -28,7 +28,7 @@ pub fn read_ply(path: &Path) -> Result<PlySplats, SplatError> {
 }
 
 fn read_file(path: &Path) -> Result<PlySplats, Problem> {
-    let file = File::open(path)?;
+    let file = open_input(path)?;
     let length = file.metadata()?.len();
     let mut reader = BufReader::new(file);
     let header = read_header(&mut reader)?;

@@ -58,6 +58,30 @@ fn truncation_and_any_changed_byte_are_errors() {
     }
 }
 
+type Change = fn(&mut FrameState);
+
+#[test]
+fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.ckpt");
+    let faults: [(Change, &str); 7] = [
+        (|s| s.sky_face_size = 3, "faces of 3 px"),
+        (|s| s.sky_face_size = 1 << 32, "faces of 4294967296 px"),
+        (|s| s.sky_face_size = 1 << 63, "faces of"),
+        (|s| s.dynamic_covariances.truncate(1), "1 covariances of 2"),
+        (|s| s.dynamic_steps.truncate(1), "1 last steps of 2"),
+        (|s| s.dynamic_ids = vec![1; 3], "3 ids of 2"),
+        (|s| s.static_information = Gaussians::zeros(4, 0), "4 rows of information of"),
+    ];
+    for (change, words) in faults {
+        let mut changed = state();
+        change(&mut changed);
+        save_checkpoint(&path, &changed).unwrap();
+        let error = load_checkpoint(&path).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+}
+
 #[test]
 fn the_sky_is_written_as_faces_and_as_a_cross() {
     let folder = tempfile::tempdir().unwrap();

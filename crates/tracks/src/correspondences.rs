@@ -1,12 +1,22 @@
 use crate::{LoadStats, PixelCenter, TracksError};
 use ffgs_arrays::{Array, NpzFile};
-use ffgs_core::TrackSet;
+use ffgs_core::{ImageSize, TrackSet};
 use std::path::Path;
 
-/// Reads correspondences; rows that are not finite are dropped and counted.
-pub(crate) fn read(file: &Path, center: PixelCenter, stats: &mut LoadStats) -> Result<TrackSet, TracksError> {
-    let npz = NpzFile::open(file)?;
-    let positions = |name: &str| npz.f32(name)?.expect_shape(&[None, Some(2)]);
+/// Most correspondences: so many a pixel, and for small images so many besides.
+const MAX_ROWS_A_PIXEL: usize = 4;
+const MAX_ROWS_BESIDES: usize = 1 << 16;
+
+/// Reads correspondences; rows that are not finite are dropped and counted. `size` is the camera's image size.
+pub(crate) fn read(
+    file: &Path,
+    size: ImageSize,
+    center: PixelCenter,
+    stats: &mut LoadStats,
+) -> Result<TrackSet, TracksError> {
+    let most = MAX_ROWS_A_PIXEL * size.pixels() + MAX_ROWS_BESIDES;
+    let npz = NpzFile::open_within(file, most * size_of::<[f64; 2]>())?;
+    let positions = |name: &str| npz.shaped::<f32>(name, &[None, Some(2)]);
     let (src, tgt) = (positions("src")?, positions("tgt")?);
     same_rows(file, "tgt", &src, &tgt)?;
     let visibility = column(&npz, file, "visibility", &src)?;
@@ -36,6 +46,7 @@ pub(crate) fn to_half_centers([x, y]: [f32; 2], center: PixelCenter) -> [f32; 2]
     }
 }
 
+/// A column (N) or (N, 1); `None` when the file has none.
 fn column(
     npz: &NpzFile,
     file: &Path,
@@ -45,11 +56,7 @@ fn column(
     if !npz.has(name) {
         return Ok(None);
     }
-    let mut values = npz.f32(name)?;
-    if values.shape.len() == 2 && values.shape[1] == 1 {
-        values.shape.pop();
-    }
-    let values = values.expect_shape(&[None])?;
+    let values = npz.shaped(name, &[None, Some(1)]).or_else(|_| npz.shaped(name, &[None]))?;
     same_rows(file, name, src, &values)?;
     Ok(Some(values))
 }

@@ -38,9 +38,14 @@ impl RawFlow {
     }
 }
 
-/// Reads a numpy array (H, W, 2).
-pub(crate) fn read_npy_flow(file: &Path) -> Result<RawFlow, TracksError> {
-    let array = read_npy::<f32>(file)?.expect_shape(&[None, None, Some(2)])?;
+/// A flow of another size than its camera is still read, so that the error names the size, up to so many times its
+/// pixels.
+const MAX_LARGER: usize = 16;
+
+/// Reads a numpy array (H, W, 2). `expected` is the camera's image size.
+pub(crate) fn read_npy_flow(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
+    let most = expected.pixels().saturating_mul(MAX_LARGER * size_of::<[f64; 2]>());
+    let array = read_npy::<f32>(file, &[None, None, Some(2)], most)?;
     let size = ImageSize { width: array.shape[1], height: array.shape[0] };
     Ok(RawFlow { size, flow: array.rows::<2>().unwrap_or_default().to_vec() })
 }

@@ -2,32 +2,59 @@ use crate::TracksError;
 use crate::dense::RawFlow;
 use exr::meta::MetaData;
 use exr::prelude::{FlatImage, FlatSamples, ReadChannels, ReadLayers, read};
-use ffgs_core::ImageSize;
-use std::fs::File;
-use std::io::BufReader;
+use ffgs_core::{ImageSize, open_input};
+use std::io::{BufReader, Seek};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-/// The reader allocates what the header says: larger images are damaged or hostile.
-const MAX_PIXELS: usize = 1 << 27;
+/// Bytes a pixel of all layers and channels together: the reader unpacks them all, and a renderer may have written
+/// many beside the flow.
+const MAX_BYTES_A_PIXEL: usize = 256;
 
-/// Reads the channels U, V (any case, f16, f32 or u32; also `LAYER.U`) of an OpenEXR image.
-pub(crate) fn read_exr(file: &Path) -> Result<RawFlow, TracksError> {
-    let open = File::open(file).map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
+/// Reads the channels U, V (any case, f16, f32 or u32; also `LAYER.U`) of an OpenEXR image. Another size than
+/// `expected` is refused from the header.
+pub(crate) fn read_exr(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
+    let io = |source| TracksError::Io { file: file.to_owned(), source };
     let fail = |reason: String| TracksError::Flow { file: file.to_owned(), reason };
-    check_size(file).map_err(fail)?;
+    let mut opened = BufReader::new(open_input(file).map_err(io)?);
+    let found = caught(|| judge(&mut opened, expected)).map_err(fail)?;
+    if found != expected {
+        return Err(TracksError::Size { file: file.to_owned(), expected, found });
+    }
+    opened.rewind().map_err(io)?;
+    caught(|| decode(opened)).map_err(fail)
+}
+
+/// The decoder's arithmetic overflows on some damaged files, a panic where overflow is checked.
+fn caught<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    // What a panic may leave half-changed is not looked at again.
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err("the decoder gave up".into()))
+}
+
+/// The size of the image; an error where unpacking it would take more than a flow of that size has.
+fn judge(opened: &mut BufReader<std::fs::File>, expected: ImageSize) -> Result<ImageSize, String> {
+    let meta = MetaData::read_from_buffered(opened, true).map_err(|e| e.to_string())?;
+    let first = meta.headers.first().ok_or("no layer")?.layer_size;
+    let bytes = meta.headers.iter().try_fold(0_usize, |sum, header| {
+        let pixels = header.layer_size.0.checked_mul(header.layer_size.1)?;
+        sum.checked_add(pixels.checked_mul(header.channels.bytes_per_pixel)?)
+    });
+    let size = ImageSize { width: first.0, height: first.1 };
+    let most = expected.pixels().saturating_mul(MAX_BYTES_A_PIXEL);
+    if size == expected && bytes.is_none_or(|bytes| bytes > most) {
+        let channels: usize = meta.headers.iter().map(|h| h.channels.list.len()).sum();
+        return Err(format!("{channels} channels in all are more than a flow's file has; keep U and V"));
+    }
+    Ok(size)
+}
+
+/// Reads every layer and takes the flow's channels.
+fn decode(opened: BufReader<std::fs::File>) -> Result<RawFlow, String> {
     let reader =
         read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
     // Single-threaded: views are read in parallel.
-    let image: FlatImage =
-        reader.non_parallel().from_buffered(BufReader::new(open)).map_err(|e| fail(e.to_string()))?;
-    flow_of(&image).map_err(fail)
-}
-
-fn check_size(file: &Path) -> Result<(), String> {
-    let meta = MetaData::read_from_file(file, true).map_err(|e| e.to_string())?;
-    let pixels = |size: (usize, usize)| size.0.checked_mul(size.1).filter(|n| *n <= MAX_PIXELS);
-    let plausible = meta.headers.iter().all(|h| pixels((h.layer_size.0, h.layer_size.1)).is_some());
-    if plausible { Ok(()) } else { Err("the image size is not plausible".into()) }
+    let image: FlatImage = reader.non_parallel().from_buffered(opened).map_err(|e| e.to_string())?;
+    flow_of(&image)
 }
 
 fn flow_of(image: &FlatImage) -> Result<RawFlow, String> {

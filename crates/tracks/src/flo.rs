@@ -1,7 +1,6 @@
 use crate::TracksError;
 use crate::dense::RawFlow;
-use ffgs_core::ImageSize;
-use std::fs::File;
+use ffgs_core::{ImageSize, open_input};
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -10,22 +9,26 @@ const MAGIC: [u8; 4] = *b"PIEH";
 const HEADER_BYTES: usize = 12;
 
 /// Reads a Middlebury flow file: magic, width, height (i32), then (u, v) f32 per pixel, little-endian, row-major.
-pub(crate) fn read(file: &Path) -> Result<RawFlow, TracksError> {
+/// Another size than `expected` is refused from the header.
+pub(crate) fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
     let io = |source| TracksError::Io { file: file.to_owned(), source };
     let fail = |reason: String| TracksError::Flow { file: file.to_owned(), reason };
-    let mut reader = BufReader::new(File::open(file).map_err(io)?);
+    let mut reader = BufReader::new(open_input(file).map_err(io)?);
     let mut header = [0; HEADER_BYTES];
     reader.read_exact(&mut header).map_err(|_| fail("shorter than its header".into()))?;
     if header[..4] != MAGIC {
         return Err(fail("the magic bytes 'PIEH' are missing".into()));
     }
     let size = size(&header).ok_or_else(|| fail("width or height is not plausible".into()))?;
-    let expected = size.pixels() * 8;
+    if size != expected {
+        return Err(TracksError::Size { file: file.to_owned(), expected, found: size });
+    }
+    let needed = size.pixels() * 8;
     let mut bytes = Vec::new();
-    let found = reader.take(expected as u64).read_to_end(&mut bytes).map_err(io)?;
-    if found < expected {
+    let found = reader.take(needed as u64).read_to_end(&mut bytes).map_err(io)?;
+    if found < needed {
         let ImageSize { width, height } = size;
-        return Err(fail(format!("{width} x {height} needs {expected} bytes, found {found}")));
+        return Err(fail(format!("{width} x {height} needs {needed} bytes, found {found}")));
     }
     let flow = bytes.as_chunks::<8>().0.iter().map(|b| [float(*b, 0), float(*b, 4)]).collect();
     Ok(RawFlow { size, flow })

@@ -1,8 +1,12 @@
 use crate::TracksError;
-use ffgs_core::TrackerLevel;
+use ffgs_core::{TrackerLevel, read_text};
 use serde::Deserialize;
-use std::fs;
 use std::path::Path;
+
+/// Most bytes of tracks.json.
+const MAX_INDEX_BYTES: u64 = 1 << 20;
+/// Most trackers: each costs a motion field a view, and a triangulation, in every frame.
+const MAX_TRACKERS: usize = 64;
 
 /// File format of a tracker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -38,7 +42,8 @@ pub struct Tracker {
     pub level: TrackerLevel,
     /// File format.
     pub format: TrackFormat,
-    /// Path below `tracks/` with `{camera}` and `{frame}` or, zero-padded, `{frame:06}`.
+    /// Path below `tracks/` with `{camera}` and one of `{frame}` or, zero-padded, `{frame:06}` (the frame's index), or
+    /// `{stem}` (the name of the camera's image of that frame, without folder and extension).
     pub pattern: String,
     /// Its pixel convention.
     #[serde(default)]
@@ -51,10 +56,13 @@ struct Index {
 }
 
 pub(crate) fn read_index(file: &Path) -> Result<Vec<Tracker>, TracksError> {
-    let text =
-        fs::read_to_string(file).map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
+    let text = read_text(file, MAX_INDEX_BYTES)
+        .map_err(|source| TracksError::Io { file: file.to_owned(), source })?;
     let fail = |reason: String| TracksError::Index { file: file.to_owned(), reason };
     let trackers = serde_json::from_str::<Index>(&text).map_err(|e| fail(e.to_string()))?.trackers;
+    if trackers.len() > MAX_TRACKERS {
+        return Err(fail(format!("{} trackers; at most {MAX_TRACKERS} can be fused", trackers.len())));
+    }
     for (i, tracker) in trackers.iter().enumerate() {
         tracker.validate().map_err(|reason| fail(format!("tracker '{}': {reason}", tracker.name)))?;
         if trackers[..i].iter().any(|t| t.name == tracker.name) {
@@ -70,17 +78,29 @@ impl Tracker {
         if flow != (self.level == TrackerLevel::Dense) {
             return Err(format!("level {:?} does not go with format {:?}", self.level, self.format));
         }
-        if !self.pattern.contains("{camera}") || !self.pattern.contains("{frame") {
-            return Err(format!("pattern {:?} lacks {{camera}} or {{frame:06}}", self.pattern));
+        if !self.pattern.contains("{camera}") || self.pattern.contains("{frame") == self.uses_stem() {
+            return Err(format!(
+                "pattern {:?} needs {{camera}} and one of {{frame:06}}, {{stem}}",
+                self.pattern
+            ));
         }
         if self.pattern.starts_with('/') || self.pattern.split('/').any(|part| part == "..") {
             return Err(format!("pattern {:?} leaves the tracks folder", self.pattern));
         }
-        self.expand("camera", 0).map(|_| ())
+        self.expand("camera", 0, Some("stem")).map(|_| ())
     }
 
-    /// The pattern with camera and frame put in.
-    pub(crate) fn expand(&self, camera: &str, frame: usize) -> Result<String, String> {
+    /// Whether files are named after images rather than numbered.
+    pub(crate) fn uses_stem(&self) -> bool {
+        self.pattern.contains("{stem}")
+    }
+
+    /// The pattern with camera and frame put in. `stem` is the name of the image.
+    pub(crate) fn expand(&self, camera: &str, frame: usize, stem: Option<&str>) -> Result<String, String> {
+        if self.uses_stem() {
+            let stem = stem.ok_or_else(|| format!("camera '{camera}' has no image of frame {frame}"))?;
+            return Ok(self.pattern.replace("{stem}", stem).replace("{camera}", camera));
+        }
         let (before, rest) = self.pattern.split_once("{frame").ok_or("no {frame} in the pattern")?;
         let (format, after) = rest.split_once('}').ok_or("'{frame' is not closed")?;
         let width = match format.strip_prefix(":0") {

@@ -1,7 +1,7 @@
 //! Tracker files as sources of motion.
 
 use crate::{TrackStore, TracksError};
-use ffgs_method::{Fault, TrackSource, Tracked, ViewStep};
+use ffgs_method::{Capture, Fault, TrackSource, Tracked, ViewStep};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -11,12 +11,13 @@ struct TrackerFiles {
     tracker: usize,
 }
 
-/// The trackers of the capture in `root`, in the order of its `tracks/tracks.json`; none when there is no such file.
+/// The trackers of a capture in the order of its `tracks/tracks.json`; none when there is no such file.
 ///
 /// # Errors
 /// When the list of trackers cannot be used.
-pub fn sources(root: &Path) -> Result<Vec<Box<dyn TrackSource>>, Fault> {
-    let opened = TrackStore::open(root).map_err(|error| fault(&root.join("tracks/tracks.json"), &error))?;
+pub fn sources(capture: &dyn Capture) -> Result<Vec<Box<dyn TrackSource>>, Fault> {
+    let list = || capture.root().join("tracks/tracks.json");
+    let opened = TrackStore::of(capture).map_err(|error| fault(&list(), &error))?;
     let Some(store) = opened.map(Arc::new) else { return Ok(Vec::new()) };
     let files =
         |tracker| -> Box<dyn TrackSource> { Box::new(TrackerFiles { store: store.clone(), tracker }) };

@@ -1,6 +1,8 @@
 use crate::index::read_index;
 use crate::{TrackFormat, Tracker, TracksError, correspondences, dense, exr_flow, flo};
 use ffgs_core::{ImageSize, ViewMotion};
+use ffgs_method::{Capture, Split, ViewAt};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What became of the rows or pixels of the files that were read.
@@ -16,6 +18,7 @@ pub struct LoadStats {
 #[derive(Clone, Debug)]
 pub struct TrackStore {
     folder: PathBuf,
+    stems: BTreeMap<String, Vec<String>>,
     trackers: Vec<Tracker>,
 }
 
@@ -27,7 +30,20 @@ impl TrackStore {
         if !index.exists() {
             return Ok(None);
         }
-        Ok(Some(Self { trackers: read_index(&index)?, folder }))
+        Ok(Some(Self { trackers: read_index(&index)?, stems: BTreeMap::new(), folder }))
+    }
+
+    /// The trackers of an opened capture, which learn the names of its images; `None` when it has none.
+    pub fn of(capture: &dyn Capture) -> Result<Option<Self>, TracksError> {
+        let Some(mut store) = Self::open(capture.root())? else { return Ok(None) };
+        for (view, camera) in capture.views(Split::Train).iter().enumerate() {
+            let stem = |frame| {
+                let file = capture.image_file(ViewAt { split: Split::Train, view, frame })?;
+                Some(file.file_stem()?.to_string_lossy().into_owned())
+            };
+            store.stems.insert(camera.clone(), (0..capture.frames()).map_while(stem).collect());
+        }
+        Ok(Some(store))
     }
 
     /// The trackers in the order of the file; indices below refer to it.
@@ -39,9 +55,14 @@ impl TrackStore {
     pub fn path(&self, tracker: usize, camera: &str, frame: usize) -> Result<PathBuf, TracksError> {
         let entry = self.trackers.get(tracker).ok_or(TracksError::NoSuchTracker(tracker))?;
         let index = || self.folder.join("tracks.json");
-        let file =
-            entry.expand(camera, frame).map_err(|reason| TracksError::Index { file: index(), reason })?;
+        let file = entry
+            .expand(camera, frame, self.stem(camera, frame))
+            .map_err(|reason| TracksError::Index { file: index(), reason })?;
         Ok(self.folder.join(file))
+    }
+
+    fn stem(&self, camera: &str, frame: usize) -> Option<&str> {
+        self.stems.get(camera)?.get(frame).map(String::as_str)
     }
 
     /// Reads that file; `None` when it does not exist. `size` is the camera's image size.
@@ -81,11 +102,11 @@ fn read(
 ) -> Result<ViewMotion, TracksError> {
     let flow = match tracker.format {
         TrackFormat::Npz => {
-            return correspondences::read(file, tracker.pixel_center, stats).map(ViewMotion::Tracks);
+            return correspondences::read(file, size, tracker.pixel_center, stats).map(ViewMotion::Tracks);
         }
-        TrackFormat::Flo => flo::read(file)?,
-        TrackFormat::Exr => exr_flow::read_exr(file)?,
-        TrackFormat::Npy => dense::read_npy_flow(file)?,
+        TrackFormat::Flo => flo::read(file, size)?,
+        TrackFormat::Exr => exr_flow::read_exr(file, size)?,
+        TrackFormat::Npy => dense::read_npy_flow(file, size)?,
     };
     flow.into_motion(file, size, stats).map(ViewMotion::Dense)
 }

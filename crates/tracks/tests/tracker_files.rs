@@ -1,8 +1,9 @@
 //! Every format, and every way in which it is wrong.
 
-use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage, f16};
+use exr::prelude::{AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, WritableImage, f16};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::{ImageSize, ViewMotion};
+use ffgs_core::{Camera, ImageRgb8, ImageSize, Mask, ViewMotion};
+use ffgs_method::{Capture, Fault, Points, Split, ViewAt};
 use ffgs_tracks::{TrackStore, TracksError, check};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -104,6 +105,121 @@ fn another_size_names_both() {
     fs::write(&file, flo(&[0.0; 12])).unwrap();
     let error = store.load(0, "cam", 1, ImageSize { width: 4, height: 2 }).unwrap_err();
     assert!(error.to_string().contains("flow is 3 x 2, but its camera is 4 x 2"), "{error}");
+}
+
+#[test]
+fn what_is_far_larger_than_its_image_is_refused_before_it_is_unpacked() {
+    let (_folder, store, file) = store("sparse", "npz");
+    let rows = 1 << 20;
+    NpzWriter::new()
+        .f32("src", &[rows, 2], &vec![0.0; 2 * rows])
+        .f32("tgt", &[rows, 2], &vec![0.0; 2 * rows])
+        .write(&file)
+        .unwrap();
+    assert!(store.load(0, "cam", 1, SIZE).unwrap_err().to_string().contains("too large"));
+
+    let (_folder, store, file) = self::store("dense", "exr");
+    let channel = |i: usize| AnyChannel::new(format!("C{i:03}").as_str(), FlatSamples::F32(vec![0.0; 6]));
+    let channels: Vec<_> = (0..100).map(channel).collect();
+    Image::from_channels((3, 2), AnyChannels::sort(channels.into())).write().to_file(&file).unwrap();
+    assert!(store.load(0, "cam", 1, SIZE).unwrap_err().to_string().contains("100 channels"));
+    write_exr(&file, ["U", "V"]);
+    let error = store.load(0, "cam", 1, ImageSize { width: 4, height: 2 }).unwrap_err();
+    assert!(matches!(error, TracksError::Size { .. }), "{error}");
+}
+
+/// The decoder of B44 blocks subtracts without looking: with overflow checked it panics on some damaged ones.
+#[test]
+fn damaged_b44_blocks_are_errors_and_no_panics() {
+    let (_folder, store, file) = store("dense", "exr");
+    let half = |k: usize| FlatSamples::F16((0..256).map(|i| f16::from_f32((i * k) as f32)).collect());
+    let channels = vec![AnyChannel::new("U", half(3)), AnyChannel::new("V", half(7))];
+    let encoding = Encoding { compression: Compression::B44, ..Encoding::UNCOMPRESSED };
+    let channels = AnyChannels::sort(channels.into());
+    Image::from_encoded_channels((16, 16), encoding, channels).write().to_file(&file).unwrap();
+    let size = ImageSize { width: 16, height: 16 };
+    assert!(store.load(0, "cam", 1, size).is_ok());
+    let good = fs::read(&file).unwrap();
+    for at in 0..good.len() {
+        for value in [0x00, 0x7f, 0xff] {
+            let mut damaged = good.clone();
+            damaged[at] = value;
+            fs::write(&file, damaged).unwrap();
+            let _ = store.load(0, "cam", 1, size);
+        }
+    }
+}
+
+/// A capture of one camera whose files do not start at 0.
+#[derive(Debug)]
+struct Numbered(PathBuf, [String; 1]);
+
+impl Capture for Numbered {
+    fn root(&self) -> &Path {
+        &self.0
+    }
+    fn frames(&self) -> usize {
+        2
+    }
+    fn views(&self, split: Split) -> &[String] {
+        if split == Split::Train { &self.1 } else { &[] }
+    }
+    fn camera(&self, _: ViewAt) -> Result<Camera, Fault> {
+        Err(Fault::new(&self.0, "none", "none"))
+    }
+    fn image(&self, _: ViewAt) -> Result<ImageRgb8, Fault> {
+        Err(Fault::new(&self.0, "none", "none"))
+    }
+    fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
+        Some(self.0.join(format!("ims/cam/{:06}.png", 16 + at.frame)))
+    }
+    fn mask(&self, _: ViewAt) -> Result<Option<Mask>, Fault> {
+        Ok(None)
+    }
+    fn points(&self) -> Result<Option<Points>, Fault> {
+        Ok(None)
+    }
+}
+
+#[test]
+fn files_may_be_named_after_the_images() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir_all(folder.path().join("tracks/x/cam")).unwrap();
+    let index = folder.path().join("tracks/tracks.json");
+    let write = |pattern: &str| {
+        let tracker =
+            format!(r#"{{"name": "x", "level": "dense", "format": "flo", "pattern": "{pattern}"}}"#);
+        fs::write(&index, format!(r#"{{"trackers": [{tracker}]}}"#)).unwrap();
+    };
+    write("x/{camera}/{stem}.flo");
+    let store = TrackStore::of(&Numbered(folder.path().to_owned(), ["cam".into()])).unwrap().unwrap();
+    assert!(store.path(0, "cam", 1).unwrap().ends_with("x/cam/000017.flo"));
+    let error = store.load(0, "cam", 2, SIZE).unwrap_err().to_string();
+    assert!(error.contains("camera 'cam' has no image of frame 2"), "{error}");
+    for pattern in ["x/{camera}/{stem}_{frame}.flo", "x/{camera}/a.flo", "x/{stem}.flo"] {
+        write(pattern);
+        let refused = TrackStore::open(folder.path()).unwrap_err().to_string();
+        assert!(refused.contains("needs {camera}"), "{pattern}: {refused}");
+    }
+}
+
+#[test]
+fn more_trackers_than_can_be_fused_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("tracks")).unwrap();
+    let tracker = |i| {
+        format!(r#"{{"name": "{i}", "level": "dense", "format": "flo", "pattern": "{{camera}}/{{frame}}"}}"#)
+    };
+    let write = |count: usize| {
+        let all: Vec<String> = (0..count).map(tracker).collect();
+        let text = format!(r#"{{"trackers": [{}]}}"#, all.join(", "));
+        fs::write(folder.path().join("tracks/tracks.json"), text).unwrap();
+    };
+    write(64);
+    assert_eq!(TrackStore::open(folder.path()).unwrap().unwrap().trackers().len(), 64);
+    write(65);
+    let error = TrackStore::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("65 trackers; at most 64"), "{error}");
 }
 
 #[test]

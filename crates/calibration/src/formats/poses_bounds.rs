@@ -17,8 +17,11 @@ pub(super) const FORMAT: Format = Format {
     read,
 };
 
+/// Most bytes of the poses: thousands of cameras have a hundredth of it.
+const MAX_BYTES: usize = 1 << 24;
+
 fn read(_: &Path, file: &Path) -> Result<Footage, CalibrationError> {
-    let array = read_npy::<f64>(file)?.expect_shape(&[None, Some(17)])?;
+    let array = read_npy::<f64>(file, &[None, Some(17)], MAX_BYTES)?;
     let rows = array.rows::<17>().unwrap_or_default();
     let mut pictures = pictures(&Media::find(file.parent().unwrap_or(Path::new(".")))?);
     if pictures.len() != rows.len() {

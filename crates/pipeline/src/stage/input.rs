@@ -25,7 +25,7 @@ impl Input {
 
     /// An array of that shape; it may be empty.
     pub fn maybe_empty<T: Element>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
-        Ok(self.0.read(key)?.expect_shape(shape)?)
+        Ok(self.0.shaped(key, shape)?)
     }
 
     /// An array of that shape with at least one entry.

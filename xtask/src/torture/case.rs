@@ -1,0 +1,204 @@
+//! One case: its random numbers, its folder, and the program run under limits.
+
+use super::capture::{self, copy_folder, files};
+use super::damage::Random;
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use tempfile::TempDir;
+
+/// As little training as shows a difference.
+pub const FEW: [&str; 7] = ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
+/// A case that takes more processor time hangs (s).
+const CPU_SECONDS: u64 = 60;
+/// A case that takes more time waits for something that never comes (s); others may be using the machine.
+const WALL_SECONDS: u64 = 900;
+/// No capture of this size needs more address space (KiB).
+const ADDRESS_KIB: u64 = 6 << 20;
+/// Signals that limits end a program with.
+const SIGXCPU: i32 = 24;
+
+/// What all cases share: the program, a small sound capture and a run of it that nothing disturbed.
+pub struct Laboratory {
+    /// The repository.
+    pub root: PathBuf,
+    program: PathBuf,
+    folder: TempDir,
+}
+
+impl Laboratory {
+    /// Cuts the capture and makes the run.
+    pub fn new(root: &Path, program: PathBuf) -> Result<Self> {
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let laboratory = Self { root: root.to_owned(), program, folder };
+        capture::cut(root, &laboratory.capture())?;
+        let mut case = Case::new(&laboratory, 0, "reference", 0)?;
+        let (capture, run) = (laboratory.capture(), laboratory.run());
+        let output = case.ffgs(&run_words(&capture, &run, &[]))?;
+        ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
+        Ok(laboratory)
+    }
+
+    /// The capture; cases that change it copy it.
+    pub fn capture(&self) -> PathBuf {
+        self.folder.path().join("capture")
+    }
+
+    /// The undisturbed run.
+    pub fn run(&self) -> PathBuf {
+        self.folder.path().join("run")
+    }
+}
+
+/// `run CAPTURE --out OUT`, little training, and more options.
+pub fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+    let paths = [capture, out].map(|path| path.display().to_string());
+    let [capture, out] = paths;
+    let options = FEW.iter().chain(more).map(|word| (*word).to_owned());
+    ["run".to_owned(), capture, "--out".to_owned(), out].into_iter().chain(options).collect()
+}
+
+/// One case.
+pub struct Case<'a> {
+    /// What all cases share.
+    pub laboratory: &'a Laboratory,
+    folder: TempDir,
+    /// The case's random numbers.
+    pub random: Random,
+}
+
+impl<'a> Case<'a> {
+    /// The case of a kind and number: its random numbers follow from these and the seed alone.
+    pub fn new(laboratory: &'a Laboratory, seed: u64, kind: &str, number: usize) -> Result<Self> {
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let start = kind.bytes().fold(seed, |sum, byte| sum.wrapping_mul(257).wrapping_add(byte.into()));
+        let random = Random(start ^ (number as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        Ok(Self { laboratory, folder, random })
+    }
+
+    /// A random number below `count`, which is not 0.
+    pub fn below(&mut self, count: usize) -> usize {
+        self.random.below(count)
+    }
+
+    /// One of them.
+    pub fn one_of<T: Clone>(&mut self, items: &[T]) -> T {
+        items[self.below(items.len())].clone()
+    }
+
+    /// A path in the case's folder.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A copy of the capture that may be damaged.
+    pub fn copied_capture(&self) -> Result<PathBuf> {
+        let to = self.path("capture");
+        copy_folder(&self.laboratory.capture(), &to).map(|()| to)
+    }
+
+    /// A copy of the undisturbed run that may be damaged.
+    pub fn copied_run(&self) -> Result<PathBuf> {
+        let to = self.path("run");
+        copy_folder(&self.laboratory.run(), &to).map(|()| to)
+    }
+
+    /// Keeps what the case ran on.
+    pub fn keep(self, at: &Path) -> Result<()> {
+        let _ = fs::remove_dir_all(at);
+        copy_folder(self.folder.path(), at)
+    }
+
+    /// The program under shell limits (`ulimit ...;`), ready to start.
+    pub fn limited(&mut self, limits: &str, words: &[String]) -> Command {
+        let mut command = Command::new("sh");
+        let script = format!("ulimit -t {CPU_SECONDS}; {limits} exec \"$0\" \"$@\"");
+        command.args(["-c", &script]).arg(&self.laboratory.program).args(words);
+        command.env("RAYON_NUM_THREADS", (1 + self.below(3)).to_string());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    /// Runs the program to its end under the usual limits. A failure of it is an error: a panic, a signal, no end,
+    /// an error without a word, a control character on the terminal.
+    pub fn ffgs(&mut self, words: &[String]) -> Result<Output> {
+        let limits = format!("ulimit -v {ADDRESS_KIB};");
+        let inner = self.limited(&limits, words);
+        let mut command = Command::new("timeout");
+        command.arg(WALL_SECONDS.to_string()).arg(inner.get_program()).args(inner.get_args());
+        inner.get_envs().for_each(|(key, value)| {
+            command.env(key, value.unwrap_or_default());
+        });
+        judged(command.stdin(Stdio::null()).output().context("cannot start the program")?)
+            .with_context(|| format!("ffgs {}", words.join(" ")))
+    }
+}
+
+/// Both streams as text.
+pub fn said(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+/// Refuses an end that no input may cause.
+pub fn judged(output: Output) -> Result<Output> {
+    let text = said(&output);
+    ensure!(!text.contains("panicked at"), "a panic: {text}");
+    ensure!(!text.contains('\u{1b}'), "a terminal escape: {text:?}");
+    match (output.status.code(), output.status.signal()) {
+        (Some(0 | 2), _) => Ok(output),
+        (Some(1), _) if text.contains("error: ") || text.contains("fix: ") => Ok(output),
+        (Some(124), _) => bail!("no end after {WALL_SECONDS} s"),
+        (_, Some(SIGXCPU)) | (Some(152), _) => bail!("no end after {CPU_SECONDS} s of processor time"),
+        (code, signal) => bail!("ended with status {code:?}, signal {signal:?}: {text}"),
+    }
+}
+
+/// The files of a run that must be the same whatever happened on the way: everything but times, memory and the report's
+/// copy of them.
+pub fn results(run: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+    let mut results = BTreeMap::new();
+    for file in files(run)? {
+        let name = file.strip_prefix(run)?.to_owned();
+        let bytes = match name.file_name().and_then(|n| n.to_str()) {
+            Some("report.html" | "run.json") => continue,
+            Some("metrics.json" | "frame.json") => timeless(&file)?,
+            _ => fs::read(&file)?,
+        };
+        results.insert(name, bytes);
+    }
+    Ok(results)
+}
+
+fn timeless(file: &Path) -> Result<Vec<u8>> {
+    let mut value: Value = serde_json::from_str(&fs::read_to_string(file)?)?;
+    forget_times(&mut value);
+    Ok(value.to_string().into_bytes())
+}
+
+fn forget_times(value: &mut Value) {
+    match value {
+        Value::Object(map) => {
+            map.retain(|key, _| !["seconds", "seconds_per_frame", "peak_memory_mib"].contains(&key.as_str()));
+            map.values_mut().for_each(forget_times);
+        }
+        Value::Array(items) => items.iter_mut().for_each(forget_times),
+        _ => {}
+    }
+}
+
+/// Refuses a run that differs from the undisturbed one.
+pub fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
+    let (expected, found) = (results(&laboratory.run())?, results(run)?);
+    for (name, bytes) in &expected {
+        let other = found.get(name).with_context(|| format!("{} is missing", name.display()))?;
+        ensure!(bytes == other, "{} differs from that of a run that was never stopped", name.display());
+    }
+    let extra: Vec<_> = found.keys().filter(|name| !expected.contains_key(*name)).collect();
+    ensure!(extra.is_empty(), "left behind: {extra:?}");
+    ensure!(run.join("report.html").is_file(), "no report");
+    Ok(())
+}
