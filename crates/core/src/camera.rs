@@ -259,7 +259,8 @@ mod tests {
             let told = DVec2::new(rows[0].dot(axis), rows[1].dot(axis));
             assert!((change - told).length() < 1e-7 * told.length().max(1.0));
         }
-        assert!(camera.pixel_derivative(camera.center()).is_none());
+        let behind = camera.center() - camera.rotation().transpose() * DVec3::Z;
+        assert!(camera.pixel_derivative(behind).is_none());
     }
 
     #[test]

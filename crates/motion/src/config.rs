@@ -3,8 +3,7 @@
 use ffgs_fusion::{DensifyConfig, FusionConfig, Slack};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 /// Settings of every stage from tracks to the places at t.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -91,10 +90,8 @@ pub struct AssociationConfig {
     pub min_hits: u32,
     /// A pixel is finished before the contribution that would bring its transmittance to this value: what shows
     /// through less moves with what hides it. 1e-4 = as far as is rendered.
-    #[serde(deserialize_with = "transmittance")]
     pub min_transmittance: f32,
-    /// Gaussians that each pixel counts for, the heaviest, at most `MAX_CONTRIBUTORS`; 0 = all.
-    #[serde(deserialize_with = "contributors")]
+    /// Gaussians that each pixel counts for, the heaviest, at most 64, as each takes memory and time per pixel; 0 = all.
     pub contributors: usize,
     /// Whether what cannot be in a view's image at t is left unobserved there.
     pub withdraw_unseen: bool,
@@ -113,21 +110,6 @@ pub enum Rotate {
     /// The splat and the directions of its colour.
     #[default]
     SplatAndColour,
-}
-
-/// Largest number of contributors a pixel; each takes memory and time a pixel.
-const MAX_CONTRIBUTORS: usize = 64;
-
-fn contributors<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
-    let found = usize::deserialize(deserializer)?;
-    let fault = || D::Error::custom(format!("0 (all) to {MAX_CONTRIBUTORS} contributors, found {found}"));
-    (found <= MAX_CONTRIBUTORS).then_some(found).ok_or_else(fault)
-}
-
-fn transmittance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
-    let found = f32::deserialize(deserializer)?;
-    let fault = || D::Error::custom(format!("a transmittance of at least 0 and below 1, found {found}"));
-    (0.0..1.0).contains(&found).then_some(found).ok_or_else(fault)
 }
 
 impl Default for AssociationConfig {

@@ -6,6 +6,7 @@ use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
 use ffgs_pipeline::record::{FrameRecord, Metrics, RunFolder, read_json};
 use ffgs_pipeline::run::{RunRequest, run};
+use ffgs_pipeline::state;
 use ffgs_trainer::StaticMethod;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -104,10 +105,10 @@ fn motion_may_be_left_out_or_come_from_one_tracker() {
     let run_with = |name: &str, method: &str| {
         let method = method.parse().unwrap();
         let request = RunRequest { method, first_frame: Some(out("first")), ..request(&out(name), 0) };
-        run(&request).map(|_| fs::read(RunFolder(out(name)).frame(1).join("dynamic.ply")).unwrap())
+        run(&request).map(|_| state::load(&RunFolder(out(name)).state(1), 1).unwrap().dynamic.gaussians)
     };
     let none = run_with("none", "none").unwrap();
-    let start = fs::read(RunFolder(out("first")).frame(0).join("dynamic.ply")).unwrap();
+    let start = state::load(&RunFolder(out("first")).state(0), 0).unwrap().dynamic.gaussians;
     assert!(none == start, "nothing moves without motion and finetuning");
     let one = run_with("one", "tracker:points_raft").unwrap();
     let fused = run_with("fused", "trackers").unwrap();
