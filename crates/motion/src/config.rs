@@ -125,26 +125,3 @@ impl Default for AssociationConfig {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn transmittances_that_are_none_are_refused() {
-        let read = |value| toml::from_str::<AssociationConfig>(&format!("min_transmittance = {value}"));
-        assert_eq!(read("0.5").unwrap().min_transmittance, 0.5);
-        for value in ["1.0", "-0.1", "nan", "inf"] {
-            let refused = read(value).unwrap_err().to_string();
-            assert!(refused.contains("at least 0 and below 1, found"), "{refused}");
-        }
-    }
-
-    #[test]
-    fn contributors_beyond_the_largest_number_are_refused() {
-        let read = |count| toml::from_str::<AssociationConfig>(&format!("contributors = {count}"));
-        assert_eq!(read(64).unwrap().contributors, 64);
-        let refused = read(65).unwrap_err().to_string();
-        assert!(refused.contains("0 (all) to 64 contributors, found 65"), "{refused}");
-    }
-}
