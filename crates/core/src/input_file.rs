@@ -14,19 +14,39 @@ pub fn open_input(path: &Path) -> io::Result<File> {
     File::open(path)
 }
 
+/// Whether anything has this name, a regular file or not. What is there and cannot be read (a link that leads nowhere or in
+/// a circle, a folder, a pipe) counts as present, so that opening it tells the fault and the file is not taken as missing.
+pub fn is_present(path: &Path) -> bool {
+    !fs::symlink_metadata(path).is_err_and(|error| error.kind() == ErrorKind::NotFound)
+}
+
+/// Reads a file of at most `max_bytes` that someone else wrote.
+///
+/// # Errors
+/// As [`open_input`]; also a longer file.
+pub fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open_within(path, max_bytes)?.take(max_bytes).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
 /// Reads a text file of at most `max_bytes` that someone else wrote.
 ///
 /// # Errors
 /// As [`open_input`]; also a longer file, and what is not UTF-8.
 pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
+    let mut text = String::new();
+    open_within(path, max_bytes)?.take(max_bytes).read_to_string(&mut text)?;
+    Ok(text)
+}
+
+fn open_within(path: &Path, max_bytes: u64) -> io::Result<File> {
     let file = open_input(path)?;
     if file.metadata()?.len() > max_bytes {
         let fault = format!("longer than {max_bytes} bytes");
         return Err(io::Error::new(ErrorKind::FileTooLarge, fault));
     }
-    let mut text = String::new();
-    file.take(max_bytes).read_to_string(&mut text)?;
-    Ok(text)
+    Ok(file)
 }
 
 #[cfg(test)]
@@ -42,6 +62,19 @@ mod tests {
         assert_eq!(read_text(&file, 4).unwrap(), "four");
         assert_eq!(read_text(&file, 3).unwrap_err().kind(), ErrorKind::FileTooLarge);
         assert_eq!(read_text(&folder.path().join("b"), 3).unwrap_err().kind(), ErrorKind::NotFound);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_cannot_be_read_is_present() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, nowhere, circle] = ["file", "nowhere", "circle"].map(|name| folder.path().join(name));
+        assert!(!is_present(&file) && is_present(folder.path()));
+        std::os::unix::fs::symlink(&file, &nowhere).unwrap();
+        std::os::unix::fs::symlink(&circle, &circle).unwrap();
+        assert!(is_present(&nowhere) && is_present(&circle));
+        fs::write(&file, "").unwrap();
+        assert!(is_present(&file) && is_present(&file.join("below a file")));
     }
 
     #[cfg(unix)]

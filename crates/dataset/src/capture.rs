@@ -1,6 +1,6 @@
 use crate::meta::{Entry, Meta, io_error};
 use crate::{DatasetError, pixels, points};
-use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
 use ffgs_method::{Points, Split};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -120,7 +120,7 @@ impl Capture {
     pub fn load_mask(&self, split: Split, view: usize, frame: usize) -> Result<Option<Mask>, DatasetError> {
         let size = self.camera(split, view, frame)?.size();
         let path = self.mask_path(split, view, frame)?;
-        if path.exists() { pixels::read_mask(&path, size).map(Some) } else { Ok(None) }
+        if is_present(&path) { pixels::read_mask(&path, size).map(Some) } else { Ok(None) }
     }
 
     /// Reads the initial points; non-finite ones are dropped and counted in [`Points::dropped`].

@@ -1,9 +1,10 @@
 use crate::capture::meta_file;
 use crate::suspicions;
 use crate::{Capture, CheckReport, DatasetError, Note, SplitSummary, ViewSummary};
-use ffgs_core::{ImageRgb8, Mask};
+use ffgs_core::{ImageRgb8, Mask, is_present};
 use ffgs_method::{Fault, Points, Split};
 use rayon::prelude::*;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Below this no motion can be triangulated.
@@ -195,18 +196,26 @@ fn check_masks(capture: &Capture, report: &mut CheckReport) {
         let text = format!("{what}: nothing is marked as moving, the scene is taken for static");
         report.notes.push(Note { file, text });
     }
-    if masks == 0 && !capture.root().join("seg").exists() {
+    if masks == 0 && !is_present(&capture.root().join("seg")) {
         return;
     }
     for view in &report.views {
         let file = capture.root().join("seg").join(&view.name);
         // Unreadable masks have their own fault; here only those that are not there.
         let missing = missing_masks(capture, view);
-        if missing > 0 && view.split == Split::Train {
-            let problem = format!("{missing} of {} masks are missing", view.frames);
-            report.faults.push(Fault { file, problem, fix: "add a PNG per image, 0 = background".into() });
-        } else if missing > 0 {
-            report.notes.push(Note { file, text: format!("{missing} of {} masks are missing", view.frames) });
+        if let Some(first) = missing.first().and_then(|path| path.file_name()) {
+            let text = format!(
+                "{} of {} masks are missing, the first is {}",
+                missing.len(),
+                view.frames,
+                first.display()
+            );
+            if view.split == Split::Train {
+                let fix = "add a PNG per image, 0 = background".into();
+                report.faults.push(Fault { file, problem: text, fix });
+            } else {
+                report.notes.push(Note { file, text });
+            }
         } else if view.empty_masks > 0 {
             let text = format!("{} of {} masks are empty", view.empty_masks, view.masks);
             report.notes.push(Note { file, text });
@@ -214,11 +223,11 @@ fn check_masks(capture: &Capture, report: &mut CheckReport) {
     }
 }
 
-fn missing_masks(capture: &Capture, summary: &ViewSummary) -> usize {
+fn missing_masks(capture: &Capture, summary: &ViewSummary) -> Vec<PathBuf> {
     let views = capture.views(summary.split);
-    let Some(view) = views.iter().position(|v| v.name == summary.name) else { return 0 };
-    let path = |frame: usize| capture.mask_path(summary.split, view, frame);
-    (0..summary.frames).filter(|&frame| path(frame).is_ok_and(|p| !p.exists())).count()
+    let Some(view) = views.iter().position(|v| v.name == summary.name) else { return Vec::new() };
+    let paths = (0..summary.frames).filter_map(|frame| capture.mask_path(summary.split, view, frame).ok());
+    paths.filter(|path| !is_present(path)).collect()
 }
 
 fn note_blind_views(capture: &Capture, report: &mut CheckReport) {

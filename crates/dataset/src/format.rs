@@ -2,7 +2,7 @@
 
 use crate::capture::meta_file;
 use crate::{Capture, DatasetError};
-use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
 use ffgs_method::{self as method, CaptureFormat, Fault, Plugin, Points, Split, ViewAt};
 use std::path::{Path, PathBuf};
 
@@ -62,7 +62,7 @@ impl method::Capture for Capture {
     }
 
     fn points(&self) -> Result<Option<Points>, Fault> {
-        if !self.points_path().exists() {
+        if !is_present(&self.points_path()) {
             return Ok(None);
         }
         self.initial_points().map(Some).map_err(|error| error.in_capture(self.root()))

@@ -1,5 +1,5 @@
 use crate::{DatasetError, View};
-use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, read_text};
+use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, is_present, read_text};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
 use std::io;
@@ -76,7 +76,7 @@ impl Meta {
 
     /// As [`Meta::read`]; no views when there is no such file.
     pub fn read_optional(file: &Path) -> Result<Self, DatasetError> {
-        if file.exists() { Self::read(file) } else { Ok(Self::default()) }
+        if is_present(file) { Self::read(file) } else { Ok(Self::default()) }
     }
 }
 

@@ -139,7 +139,7 @@ fn masks_are_there_for_all_images_or_for_none() {
     let still = report(folder.path());
     assert!(still.is_usable() && still.notes.iter().any(|n| n.text.contains("every training mask is empty")));
     fs::remove_file(seg.join("b/000001.png")).unwrap();
-    assert_fault(folder.path(), "1 of 2 masks are missing");
+    assert_fault(folder.path(), "1 of 2 masks are missing, the first is 000001.png");
     fs::remove_dir_all(seg).unwrap();
     let without = report(folder.path());
     assert!(without.is_usable() && without.notes.iter().any(|n| n.text.contains("no masks")), "{without}");
@@ -303,6 +303,21 @@ fn what_is_no_file_is_refused_and_not_waited_for() {
     fs::remove_file(&image).unwrap();
     symlink("/dev/zero", &image).unwrap();
     assert_fault(folder.path(), "b/000001.png: not a file (a folder, pipe or device)");
+
+    // A mask is optional: what stands in its place is a fault of its own and not a mask that is missing.
+    let folder = capture();
+    let mask = folder.path().join("seg/b/000001.png");
+    fs::remove_file(&mask).unwrap();
+    fs::create_dir(&mask).unwrap();
+    assert_fault(folder.path(), "b/000001.png: not a file (a folder, pipe or device)");
+    fs::remove_dir(&mask).unwrap();
+    for target in [mask.clone(), folder.path().join("nowhere")] {
+        symlink(target, &mask).unwrap();
+        assert_fault(folder.path(), "seg/b/000001.png: ");
+        assert!(!report(folder.path()).to_string().contains("are missing"));
+        fs::remove_file(&mask).unwrap();
+    }
+
     let meta = folder.path().join("test_meta.json");
     assert!(std::process::Command::new("mkfifo").arg(&meta).status().unwrap().success());
     let error = Capture::open(folder.path()).unwrap_err().to_string();

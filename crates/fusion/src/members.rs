@@ -5,8 +5,9 @@
 use crate::evidence::{Evidence, robust_weight};
 use crate::normal::{Normal, TERMS};
 use crate::rigid::RigidMotion;
+use ffgs_core::instructions;
 use glam::{DMat3, DVec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 /// Gaussians of a block.
 const LANES: usize = 8;
@@ -110,7 +111,7 @@ impl Residuals<'_> {
         let rotation = DMat3::from_quat(motion.rotation).transpose();
         let rows = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|r| r.to_array());
         let step = motion.step + (motion.centre - self.members.centre);
-        Arch::new().dispatch(Update { rows, step: step.to_array(), of: self });
+        instructions().dispatch(Update { rows, step: step.to_array(), of: self });
     }
 
     /// Squared Mahalanobis distances of one tracker's usable estimates, in `out`.
@@ -127,7 +128,7 @@ impl Residuals<'_> {
     /// Robustly weighted normal equations with (L) factors `scales` on the trackers' covariances.
     pub fn normal(&self, scales: &[f64]) -> Normal {
         let mut sums = [[0.0; LANES]; TERMS];
-        Arch::new().dispatch(Sum { of: self, scales, sums: &mut sums });
+        instructions().dispatch(Sum { of: self, scales, sums: &mut sums });
         Normal::new(&sums.map(|lanes| lanes.iter().sum::<f64>()))
     }
 }

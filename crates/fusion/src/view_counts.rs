@@ -2,9 +2,9 @@
 //! mask stays in the cache; the points of a part side by side.
 
 use crate::config::FusionError;
-use ffgs_core::{Camera, Intrinsics, Mask};
+use ffgs_core::{Camera, Intrinsics, Mask, instructions};
 use glam::DVec3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// In how many views a point falls in the image, and of those in the mask.
@@ -31,7 +31,7 @@ pub fn count_views(
     }
     let mut counts = vec![ViewCounts::default(); means.len()];
     counts.par_chunks_mut(BLOCK).zip(means.par_chunks(BLOCK)).for_each(|(counts, means)| {
-        Arch::new().dispatch(Block { means, views: &views, counts });
+        instructions().dispatch(Block { means, views: &views, counts });
     });
     Ok(counts)
 }

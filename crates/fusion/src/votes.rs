@@ -2,8 +2,9 @@
 
 use crate::groups::Voter;
 use crate::rigid::RigidMotion;
+use ffgs_core::instructions;
 use glam::{DMat3, DVec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 const LANES: usize = 8;
 /// Centre, centre at t, information about it, weight.
@@ -44,7 +45,7 @@ impl Votes {
         let centre = motion.centre - self.origin;
         let target = (centre + motion.step).to_array();
         let sum = Sum { blocks: &self.blocks, rows, centre: centre.to_array(), target, scale: limit.recip() };
-        Arch::new().dispatch(sum).iter().sum()
+        instructions().dispatch(sum).iter().sum()
     }
 }
 

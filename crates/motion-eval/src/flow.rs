@@ -1,6 +1,6 @@
 use crate::score::quantile;
 use ffgs_arrays::{ArraysError, NpzFile};
-use ffgs_core::{DenseMotion, ImageSize, Mask};
+use ffgs_core::{DenseMotion, ImageSize, Mask, is_present};
 use serde::Serialize;
 use std::path::Path;
 
@@ -19,7 +19,7 @@ impl TrueFlow {
     /// # Errors
     /// [`ArraysError`] when the file does not have that form.
     pub fn read(file: &Path, size: ImageSize) -> Result<Option<Self>, ArraysError> {
-        if !file.exists() {
+        if !is_present(file) {
             return Ok(None);
         }
         let npz = NpzFile::open(file)?;

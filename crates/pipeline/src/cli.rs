@@ -268,7 +268,8 @@ impl FromStr for FrameRange {
 
 /// Runs the program on its command line. An error is printed with its causes.
 pub fn main() -> ExitCode {
-    terminal::ended(dispatch(Cli::parse().command))
+    let command = Cli::parse().command;
+    terminal::ended(ffgs_core::check_instructions().map_err(Into::into).and_then(|()| dispatch(command)))
 }
 
 fn dispatch(command: Command) -> Result<ExitCode> {

@@ -8,8 +8,8 @@ use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
 use crate::tile_lists::Entry;
-use ffgs_core::Gaussians;
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::{Gaussians, instructions};
+use pulp::{Simd, WithSimd};
 
 /// Number of sums per entry: derivatives with respect to mean x, y; second moments of the derivative with respect to the
 /// exponent, about the ridge (e^2, e dy, dy^2); derivatives with respect to opacity; colour r, g, b.
@@ -33,7 +33,7 @@ impl DifferentiableRasterizer for CpuRasterizer {
 }
 
 fn differentiate_tiles(view: &View, tape: &mut RenderTape, upstream: &PixelGradients) {
-    let arch = Arch::new();
+    let arch = instructions();
     let RenderTape { pixels, lists, splats, grid, entry_gradients, .. } = tape;
     entry_gradients.resize(lists.len(), [0.0; ENTRY]);
     for_each_tile_slice(&lists.starts, entry_gradients, &|tile, entries| {

@@ -9,8 +9,8 @@ use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
 use crate::tile_lists::Entry;
 use crate::tiles::{TILE, TileGrid, TileMask, cover};
-use ffgs_core::Gaussians;
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::{Gaussians, instructions};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Gaussians projected as one unit of parallel work.
@@ -150,7 +150,7 @@ impl Projection<'_> {
 impl Rasterizer for CpuRasterizer {
     fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
         self.prepare(gaussians, view, tape);
-        let arch = Arch::new();
+        let arch = instructions();
         let RenderTape { pixels, lists, splats, grid, .. } = tape;
         pixels.par_iter_mut().enumerate().for_each(|(tile, out)| {
             let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
@@ -167,7 +167,7 @@ pub(crate) fn tile_origin(tile: usize, grid: TileGrid) -> [usize; 2] {
 
 /// Projects the chunks with these numbers.
 fn project_chunks(shared: &Projection, numbers: &[usize], chunks: &mut [ChunkSplats]) {
-    let arch = Arch::new();
+    let arch = instructions();
     chunks.par_iter_mut().zip(numbers).for_each(|(out, number)| {
         arch.dispatch(ProjectChunk { shared, first: number * CHUNK, out });
     });

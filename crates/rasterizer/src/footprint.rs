@@ -10,8 +10,8 @@ use crate::tape::{RenderTape, for_each_row};
 use crate::tile_lists::Entry;
 use crate::tiles::TileGrid;
 use crate::top_contributors::Heaviest;
-use ffgs_core::{Gaussians, ImageSize};
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::{Gaussians, ImageSize, instructions};
+use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 /// Sums per Gaussian of `alpha T` times per-pixel channels: the transpose of blending.
@@ -105,7 +105,7 @@ impl CpuRasterizer {
     ) {
         let &Summed { gaussians, bounds, wanted } = summed;
         self.prepare_within(gaussians, bounds, view, tape);
-        let (arch, size, width) = (Arch::new(), view.camera.size(), channels.count() + 1);
+        let (arch, size, width) = (instructions(), view.camera.size(), channels.count() + 1);
         let finished = channels.finished();
         let RenderTape { lists, splats, grid, .. } = tape;
         out.width = width;

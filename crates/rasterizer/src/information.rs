@@ -15,9 +15,9 @@ use crate::projection::{self, Ewa, Filtered, PinholeF32, Ridge, Splat};
 use crate::spherical_harmonics as sh;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
 use crate::tile_lists::Entry;
-use ffgs_core::{Gaussians, sh_coefficients};
+use ffgs_core::{Gaussians, instructions, sh_coefficients};
 use glam::{DMat3, DVec2, DVec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Sums per entry: `E`; `E u u` (xx, xy, yy); `E u u u u` (xxxx, xxxy, xxyy, xyyy, yyyy); squared blending weights.
@@ -99,7 +99,7 @@ fn sums_of(tape: &RenderTape, entries: &[[f32; SUMS]], slot: usize) -> [f64; SUM
 }
 
 fn square_tiles(view: &View, tape: &RenderTape, weights: &[f32]) -> Vec<[f32; SUMS]> {
-    let arch = Arch::new();
+    let arch = instructions();
     let RenderTape { pixels, lists, splats, grid, .. } = tape;
     let mut entries = vec![[0.0; SUMS]; lists.len()];
     for_each_tile_slice(&lists.starts, &mut entries, &|tile, entries| {

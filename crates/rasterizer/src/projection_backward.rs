@@ -8,9 +8,9 @@ use crate::gradients::Gradients;
 use crate::projection::{self, Ewa, PinholeF32};
 use crate::spherical_harmonics as sh;
 use crate::tape::RenderTape;
-use ffgs_core::{Gaussians, sh_coefficients};
+use ffgs_core::{Gaussians, instructions, sh_coefficients};
 use glam::{DMat3, DVec3, Mat3, Vec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Gaussians differentiated as one unit of parallel work; pose sums add up in the order of these chunks.
@@ -69,7 +69,7 @@ pub(crate) fn to_parameters(
     };
     let k = gaussians.sh_stride();
     let g = &mut out.gaussians;
-    let arch = Arch::new();
+    let arch = instructions();
     let poses: Vec<PoseGradient> = g
         .means
         .par_chunks_mut(CHUNK)

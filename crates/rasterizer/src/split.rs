@@ -3,8 +3,7 @@
 use crate::contract::View;
 use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
 use crate::tape::{RenderTape, TilePixels, for_each_pixel};
-use ffgs_core::{Gaussians, ImageSize, PlanarImage};
-use pulp::Arch;
+use ffgs_core::{Gaussians, ImageSize, PlanarImage, instructions};
 use rayon::prelude::*;
 
 impl CpuRasterizer {
@@ -19,7 +18,7 @@ impl CpuRasterizer {
         out: &mut SplitLayers,
     ) {
         self.prepare(gaussians, view, tape);
-        let (arch, size) = (Arch::new(), view.camera.size());
+        let (arch, size) = (instructions(), view.camera.size());
         let RenderTape { pixels, lists, splats, grid, .. } = tape;
         out.reset(size);
         out.tiles.resize_with(grid.count(), TilePixels::default);

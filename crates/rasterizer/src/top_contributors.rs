@@ -7,8 +7,8 @@ use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
 use crate::tile_lists::Entry;
 use crate::tiles::TILE;
-use ffgs_core::Gaussians;
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::{Gaussians, instructions};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Indices and weights `alpha T` of the K largest contributions a pixel, heaviest first.
@@ -91,7 +91,7 @@ impl Heaviest {
         self.walked.clear();
         self.best.clear();
         self.best.resize(AREA * count, (0, 0.0));
-        Arch::new().dispatch(TopTile { origin, splats, slots, finished, open, heaviest: self });
+        instructions().dispatch(TopTile { origin, splats, slots, finished, open, heaviest: self });
     }
 
     /// Those of one pixel with their weights, heaviest first.

@@ -1,6 +1,6 @@
 use crate::index::read_index;
 use crate::{TrackFormat, Tracker, TracksError, correspondences, dense, exr_flow, flo};
-use ffgs_core::{ImageSize, ViewMotion};
+use ffgs_core::{ImageSize, ViewMotion, is_present};
 use ffgs_method::{Capture, Split, ViewAt};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ impl TrackStore {
     pub fn open(capture_root: &Path) -> Result<Option<Self>, TracksError> {
         let folder = capture_root.join("tracks");
         let index = folder.join("tracks.json");
-        if !index.exists() {
+        if !is_present(&index) {
             return Ok(None);
         }
         Ok(Some(Self { trackers: read_index(&index)?, stems: BTreeMap::new(), folder }))
@@ -85,7 +85,7 @@ impl TrackStore {
         size: ImageSize,
     ) -> Result<Option<(ViewMotion, LoadStats)>, TracksError> {
         let file = self.path(tracker, camera, frame)?;
-        if !file.exists() {
+        if !is_present(&file) {
             return Ok(None);
         }
         let mut stats = LoadStats::default();

@@ -296,3 +296,14 @@ fn exchanged_tracks_and_frames_without_any_are_faults() {
     write(&file, &[70.0, 10.0, 50.0, 20.0]);
     assert!(faults(2).contains("those of another size"), "{}", faults(2));
 }
+
+/// A view without a file is left out; a link that leads nowhere is a fault that names it.
+#[cfg(unix)]
+#[test]
+fn a_link_to_nowhere_is_not_a_missing_file() {
+    let (folder, store, file) = store("dense", "flo");
+    assert!(store.load(0, "cam", 1, SIZE).unwrap().is_none());
+    std::os::unix::fs::symlink(folder.path().join("nowhere"), &file).unwrap();
+    let error = store.load(0, "cam", 1, SIZE).unwrap_err().to_string();
+    assert!(error.contains(&file.display().to_string()), "{error}");
+}

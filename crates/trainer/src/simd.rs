@@ -1,6 +1,7 @@
 //! Run-time instruction-set dispatch: the same safe loops are compiled for the baseline, AVX2 and AVX-512.
 
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::instructions;
+use pulp::{Simd, WithSimd};
 
 /// A loop nest worth compiling per instruction set. Everything it calls must be `#[inline(always)]`.
 pub(crate) trait Kernel {
@@ -22,7 +23,7 @@ impl<K: Kernel> WithSimd for Vectorised<K> {
 
 /// Runs `kernel` compiled for the best instruction set of this machine. The choice is the same in every thread.
 pub(crate) fn dispatch<K: Kernel>(kernel: K) {
-    Arch::new().dispatch(Vectorised(kernel));
+    instructions().dispatch(Vectorised(kernel));
 }
 
 /// `a * b + c`, fused when `FMA`.

@@ -4,9 +4,9 @@ use crate::real::MAX_LANES;
 use crate::robust::{self, Scales};
 use crate::solve::{Solution, Start, begin, finish};
 use crate::views::{Lens, Views};
-use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
+use ffgs_core::{Camera, EstimateStatus, Estimates, Observations, instructions};
 use glam::{DMat3, DVec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -80,7 +80,7 @@ impl Triangulator for WeightedRays {
         let batch = Batch { config: &self.config, previous, lenses: &lenses, observations };
         let scales = batch.scales();
         let mut solutions = vec![Err(EstimateStatus::TooFewViews); previous.len()];
-        let arch = Arch::new();
+        let arch = instructions();
         solutions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
             arch.dispatch(SolveChunk { batch: &batch, scales, first: chunk * CHUNK, out });
         });
@@ -151,7 +151,7 @@ impl Batch<'_> {
     fn typical_noise(&self, soft: f64) -> f64 {
         let stride = self.previous.len().div_ceil(SCALE_SAMPLES).max(1);
         let samples: Vec<u32> = (0..self.previous.len() as u32).step_by(stride).collect();
-        let arch = Arch::new();
+        let arch = instructions();
         let parts = samples.par_chunks(SAMPLE_CHUNK);
         let mut residuals: Vec<f64> = parts
             .flat_map_iter(|samples| arch.dispatch(SoftResiduals { batch: self, soft, samples }))

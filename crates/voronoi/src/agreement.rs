@@ -1,8 +1,8 @@
 use crate::MotionError;
 use crate::exponential::exp_negative;
 use crate::normalised::any;
-use ffgs_core::{DenseMotion, Mask};
-use pulp::{Arch, Simd, WithSimd};
+use ffgs_core::{DenseMotion, Mask, instructions};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,7 @@ pub fn agreement(
         let pixels = start..start + confidences[0].len();
         let flows: Vec<_> = fields.iter().map(|field| &field[pixels.clone()]).collect();
         let region = region.map(|mask| &mask.data()[pixels]);
-        Arch::new().dispatch(Band { flows: &flows, confidences, region, config });
+        instructions().dispatch(Band { flows: &flows, confidences, region, config });
     });
     Ok(())
 }

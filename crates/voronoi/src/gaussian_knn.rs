@@ -2,9 +2,8 @@ use crate::kernel_mean::{KernelMean, Mean, Values};
 use crate::nearest::{Candidate, Keys, KthNearest, LANES};
 use crate::normalised::{Normalisation, NormalisedTracks, RowBand, any, bands, check_sigma, prepare};
 use crate::{IntegerCentredTracks, MotionError, MotionInterpolator};
-use ffgs_core::{DenseMotion, ImageSize, Mask};
+use ffgs_core::{DenseMotion, ImageSize, Mask, instructions};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use pulp::Arch;
 use rayon::prelude::*;
 use std::num::NonZero;
 use std::ops::Range;
@@ -147,7 +146,13 @@ impl Field<'_> {
         for (k, tile) in tiles.iter().enumerate() {
             [x[k], y[k]] = tile.centre;
         }
-        Arch::new().dispatch(KthNearest { x: &x, y: &y, candidates: near, keys: self.keys, k: self.k.get() })
+        instructions().dispatch(KthNearest {
+            x: &x,
+            y: &y,
+            candidates: near,
+            keys: self.keys,
+            k: self.k.get(),
+        })
     }
 
     fn fill_tile(&self, band: &mut RowBand, columns: &Range<usize>, candidates: &[Candidate]) {
@@ -162,7 +167,7 @@ impl Field<'_> {
             }
         }
         let mut means = [Mean::default(); TILE * TILE];
-        Arch::new().dispatch(KernelMean {
+        instructions().dispatch(KernelMean {
             x: &x,
             y: &y,
             candidates,

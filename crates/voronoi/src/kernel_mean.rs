@@ -102,6 +102,7 @@ fn put<S: Simd>(row: &mut [f64; LANES], vector: S::f64s) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ffgs_core::instructions;
 
     /// The mean of values 1, 2, 4, ... over the K nearest of some tracks, at the origin and far too narrow or wide a kernel.
     fn mean(points: &[[f64; 2]], k: usize, half_precision: f64) -> Mean {
@@ -109,7 +110,7 @@ mod tests {
         let candidates: Vec<Candidate> = points.iter().enumerate().rev().map(candidate).collect();
         let values: Vec<Values> = (0..points.len()).map(|t| [(1_u64 << t) as f64, 0.0, 0.0, 1.0]).collect();
         let mut out = [Mean::default(); 3];
-        pulp::Arch::new().dispatch(KernelMean {
+        instructions().dispatch(KernelMean {
             x: &[0.0; LANES],
             y: &[0.0; LANES],
             candidates: &candidates,

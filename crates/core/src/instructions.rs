@@ -1,0 +1,55 @@
+use pulp::Arch;
+use std::sync::LazyLock;
+use thiserror::Error;
+
+/// Names another instruction set than the widest that the processor has.
+const VARIABLE: &str = "FFGS_SIMD";
+
+static CHOSEN: LazyLock<Result<Arch, NoSuchInstructions>> =
+    LazyLock::new(|| std::env::var(VARIABLE).map_or_else(|_| Ok(Arch::new()), |name| named(&name)));
+
+/// `FFGS_SIMD` names no instruction set, or one that this processor does not have.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error(
+    "{VARIABLE} = {0:?}: choose scalar, avx2 or avx512, as far as this processor has them, or leave it out"
+)]
+pub struct NoSuchInstructions(String);
+
+/// The vector instructions of every stage: the widest that the processor has, or those that the environment variable
+/// `FFGS_SIMD` names, so that machines of two kinds can be told to give the same bytes. One choice for the whole process.
+pub fn instructions() -> Arch {
+    CHOSEN.as_ref().map_or_else(|_| Arch::new(), |chosen| *chosen)
+}
+
+/// Refuses a name that cannot be had; for the start of a program.
+///
+/// # Errors
+/// When `FFGS_SIMD` names no instruction set of this processor.
+pub fn check_instructions() -> Result<(), NoSuchInstructions> {
+    CHOSEN.clone().map(|_| ())
+}
+
+fn named(name: &str) -> Result<Arch, NoSuchInstructions> {
+    let found = match name {
+        "scalar" => Some(Arch::Scalar),
+        #[cfg(target_arch = "x86_64")]
+        "avx2" => pulp::x86::V3::try_new().map(Arch::V3),
+        #[cfg(target_arch = "x86_64")]
+        "avx512" => pulp::x86::V4::try_new().map(Arch::V4),
+        _ => None,
+    };
+    found.ok_or_else(|| NoSuchInstructions(name.to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_a_set_or_is_refused() {
+        assert!(matches!(named("scalar"), Ok(Arch::Scalar)));
+        for name in ["", "AVX2", "sse9"] {
+            assert!(named(name).unwrap_err().to_string().contains("choose scalar, avx2 or avx512"));
+        }
+    }
+}
