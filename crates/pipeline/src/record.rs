@@ -2,7 +2,7 @@
 
 use crate::manifest::Manifest;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{StageLog, read_text};
+use ffgs_core::{StageLog, is_present, read_bytes, read_text};
 use ffgs_method::{Capture, Split};
 use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, ViewReport};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -141,6 +141,15 @@ impl RunFolder {
         self.frame(frame).join("method.state")
     }
 
+    /// What the method kept; nothing where it kept nothing.
+    pub fn read_method_state(&self, frame: usize) -> Result<Vec<u8>> {
+        let path = self.method_state(frame);
+        if !is_present(&path) {
+            return Ok(Vec::new());
+        }
+        read_bytes(&path, MAX_METHOD_BYTES).with_context(|| format!("cannot read {}", path.display()))
+    }
+
     /// The frame's numbers.
     pub fn record(&self, frame: usize) -> PathBuf {
         self.frame(frame).join("frame.json")
@@ -210,6 +219,8 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     .with_context(|| format!("cannot write {}; is the folder writable, the disk full?", path.display()))
 }
 
+/// Most bytes that a method may keep for the next frame.
+const MAX_METHOD_BYTES: u64 = 1 << 32;
 /// Most bytes of a JSON file of a run.
 const MAX_JSON_BYTES: u64 = 1 << 28;
 

@@ -190,8 +190,7 @@ impl<'a> Job<'a> {
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
         let load = |&frame: &usize| -> Result<Last> {
             let scene = state::load(&self.folder.state(frame), frame)?;
-            let saved = self.folder.method_state(frame);
-            let saved = if saved.exists() { std::fs::read(&saved)? } else { Vec::new() };
+            let saved = self.folder.read_method_state(frame)?;
             method.restore(&saved, &scene).with_context(|| self.named("state"))?;
             Ok(Last { scene, views: load_training(&*self.capture, &self.views, frame)? })
         };

@@ -2,10 +2,14 @@
 
 use crate::camera_lists::write_json;
 use crate::{PrepareError, Request, Step};
+use ffgs_core::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// It holds a sentence per camera and step.
+const MAX_JOURNAL_BYTES: u64 = 1 << 24;
 
 /// The journal of a preparation.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -40,7 +44,7 @@ impl Journal {
                 Ok(new)
             };
         }
-        let text = std::fs::read_to_string(&file).map_err(|e| PrepareError::io(&file, e))?;
+        let text = read_text(&file, MAX_JOURNAL_BYTES).map_err(|e| PrepareError::io(&file, e))?;
         let mut journal: Self =
             serde_json::from_str(&text).map_err(|e| PrepareError::picture(&file, e.to_string()))?;
         let wanted = settings(request);

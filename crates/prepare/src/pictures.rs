@@ -1,9 +1,9 @@
 //! Picture files.
 
 use crate::PrepareError;
-use ffgs_core::{ImageRgb8, ImageSize, Mask, write_atomically};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, write_atomically};
 use image::{ExtendedColorType, ImageEncoder, ImageReader, codecs::png::PngEncoder};
-use std::io;
+use std::io::{self, BufReader};
 use std::path::Path;
 
 /// Reads a photograph of any size; grey is spread over the channels.
@@ -26,7 +26,8 @@ pub(crate) fn read_mask(file: &Path) -> Result<Mask, PrepareError> {
 }
 
 fn decode(file: &Path) -> Result<image::DynamicImage, PrepareError> {
-    let reader = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
+    let opened = open_input(file).map(BufReader::new);
+    let reader = opened.and_then(|opened| ImageReader::new(opened).with_guessed_format());
     let image = reader.map_err(|e| PrepareError::io(file, e))?.decode();
     image
         .map_err(|e| PrepareError::picture(file, format!("not a readable image (damaged or truncated): {e}")))

@@ -1,8 +1,12 @@
 //! Which picture of each camera belongs to which frame.
 
 use crate::{PrepareError, Request};
+use ffgs_core::read_text;
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// A hundred cameras for an hour at 100 pictures a second take a gigabyte.
+const MAX_TIMESTAMPS_BYTES: u64 = 1 << 30;
 
 /// What is known of one camera's pictures in time.
 #[derive(Clone, Debug)]
@@ -62,7 +66,7 @@ type Table = Vec<Vec<Option<(usize, f64)>>>;
 /// Reads `sync_index, cam_id, frame_time` of caliscope; the pictures of a camera are numbered in the order of its
 /// rows. `None` when the file has other columns, or does not name the cameras.
 fn read_timestamps(file: &Path, sequences: &[Sequence]) -> Result<Option<Table>, PrepareError> {
-    let text = std::fs::read_to_string(file).map_err(|e| PrepareError::io(file, e))?;
+    let text = read_text(file, MAX_TIMESTAMPS_BYTES).map_err(|e| PrepareError::io(file, e))?;
     let mut lines = text.lines().map(|l| l.split(',').map(str::trim).collect::<Vec<_>>());
     let heading = lines.next().unwrap_or_default();
     let column = |names: &[&str]| heading.iter().position(|h| names.contains(h));

@@ -2,16 +2,17 @@ use crate::motion_plots::motion_plots;
 use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};
 use crate::{FrameReport, ReportInput, ViewReport, picture};
-use ffgs_core::write_atomically;
+use ffgs_core::{read_text, write_atomically};
 use minijinja::Environment;
 use serde::Serialize;
-use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 const TEMPLATE: &str = include_str!("../templates/report.html");
 const STYLE: &str = include_str!("../templates/style.css");
+/// The pictures of a frame are bounded in sum when they are encoded, far below.
+const MAX_PICTURES_BYTES: u64 = 1 << 28;
 const SCRIPT: &str = include_str!("../templates/script.js");
 
 /// Why a report was not written.
@@ -92,10 +93,11 @@ fn render(input: &ReportInput) -> Result<String, ReportError> {
 /// A block of data per frame, which the script parses when the frame is shown.
 fn embed(frame: &FrameReport, out: &mut impl Write) -> Result<(), ReportError> {
     let Some(path) = &frame.pictures else { return Ok(()) };
-    let mut file = File::open(path).map_err(|source| ReportError::Pictures { path: path.clone(), source })?;
-    write!(out, "<script type=\"application/json\" id=\"pictures-{}\">", frame.index)?;
-    io::copy(&mut file, out)?;
-    Ok(writeln!(out, "</script>")?)
+    let text = read_text(path, MAX_PICTURES_BYTES)
+        .map_err(|source| ReportError::Pictures { path: path.clone(), source })?;
+    // The folder may come from someone else: a `<` of their text must not end the block. In JSON it stands in strings only.
+    let text = text.replace('<', "\\u003c");
+    Ok(writeln!(out, "<script type=\"application/json\" id=\"pictures-{}\">{text}</script>", frame.index)?)
 }
 
 type Metric = fn(&ViewReport) -> Option<f64>;

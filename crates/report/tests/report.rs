@@ -61,6 +61,23 @@ fn the_page_stands_alone_and_its_data_parse() {
     assert!(!html.contains(&*folder.path().to_string_lossy()), "no path of this machine");
 }
 
+/// A run folder may come from someone else: what its files of pictures hold must stay data.
+#[test]
+fn pictures_that_are_none_end_no_block_and_load_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, input) = (folder.path().join("report.html"), run(folder.path()));
+    let hostile = r#"{"views": [["</script><script>alert(1)</script>", "https://a.example/b.png", ""]]}"#;
+    fs::write(folder.path().join("pictures.json"), hostile).unwrap();
+    write_report(&path, &input).unwrap();
+    let html = fs::read_to_string(&path).unwrap();
+    assert_eq!(html.matches("</script>").count(), 3, "two frames and the program");
+    assert_eq!(
+        json(&html, "id=\"pictures-1\">", "</script>")["views"][0][0],
+        "</script><script>alert(1)</script>"
+    );
+    assert!(html.contains("default-src 'none'; img-src data:"));
+}
+
 #[test]
 fn an_empty_run_has_a_report_and_a_missing_file_of_pictures_is_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -6,7 +6,7 @@ use crate::bytes::Cursor;
 use crate::error::InFile;
 use crate::quantise::{from_smallest_three, smallest_three, to_byte};
 use crate::{Problem, RenderMode, SplatError};
-use ffgs_core::{Gaussians, logit, sigmoid, write_atomically};
+use ffgs_core::{Gaussians, logit, read_bytes, sigmoid, write_atomically};
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -14,6 +14,8 @@ use std::path::Path;
 const MAGIC: &[u8; 4] = b"NGSP";
 const VERSION: u32 = 4;
 const HEAD: usize = 32;
+/// The Gaussians of the largest memory that is sold take less.
+const MAX_BYTES: u64 = 1 << 36;
 /// Flag of files trained with the opacity compensation.
 const ANTIALIASED: u8 = 1;
 /// Fraction bits of a position that other writers use; more only where Gaussians are small.
@@ -70,7 +72,7 @@ pub fn write_spz(
 /// # Errors
 /// When the file cannot be read, is of another version, truncated or corrupt.
 pub fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
-    let bytes = std::fs::read(path).in_file(path)?;
+    let bytes = read_bytes(path, MAX_BYTES).in_file(path)?;
     decode_spz(&bytes).in_file(path)
 }
 

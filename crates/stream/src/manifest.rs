@@ -3,12 +3,15 @@
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::VERSION;
 use crate::steps::Steps;
+use ffgs_core::read_text;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Names of the two files.
 pub(crate) const MANIFEST: &str = "manifest.json";
 pub(crate) const FRAMES: &str = "frames.jsonl";
+/// A line of `frames.jsonl` takes about 400 bytes: a hundred thousand frames.
+const MAX_TEXT_BYTES: u64 = 1 << 26;
 /// How a manifest says what it is.
 const FORMAT: &str = "ffgs-4d";
 
@@ -47,7 +50,7 @@ impl Manifest {
     /// Reads and checks a stream's manifest.
     pub(crate) fn read(folder: &Path) -> Result<Self, StreamError> {
         let path = folder.join(MANIFEST);
-        let text = std::fs::read_to_string(&path).in_file(&path)?;
+        let text = read_text(&path, MAX_TEXT_BYTES).in_file(&path)?;
         let manifest: Self = serde_json::from_str(&text).in_file(&path)?;
         manifest.check().in_file(&path)?;
         Ok(manifest)
@@ -93,7 +96,7 @@ pub struct Entry {
 /// The finished frames. A last line without its end is still being written and left out.
 pub(crate) fn read_entries(folder: &Path) -> Result<Vec<Entry>, StreamError> {
     let path = folder.join(FRAMES);
-    let text = match std::fs::read_to_string(&path) {
+    let text = match read_text(&path, MAX_TEXT_BYTES) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
         text => text.in_file(&path)?,
     };

@@ -4,7 +4,7 @@ use crate::layers::{decode_change, decode_colours, decode_key, decode_uncertaint
 use crate::manifest::{Entry, Manifest, read_entries};
 use crate::row::Row;
 use crate::steps::Steps;
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, read_bytes};
 use std::path::{Path, PathBuf};
 
 /// A frame as a player shows it.
@@ -132,7 +132,7 @@ impl Reader {
     fn apply(&self, state: Option<State>, at: usize) -> Result<State, StreamError> {
         let entry = &self.entries[at];
         let path = self.folder.join(&entry.file);
-        let bytes = std::fs::read(&path).in_file(&path)?;
+        let bytes = read_bytes(&path, entry.bytes).in_file(&path)?;
         let apply = || {
             if crc32fast::hash(&bytes) != entry.crc32 {
                 return Err(Problem::Corrupt("not the file that the list names".into()));

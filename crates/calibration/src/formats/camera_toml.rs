@@ -14,7 +14,7 @@ pub(super) const FORMAT: Format =
 
 fn find(folder: &Path) -> Option<PathBuf> {
     find_below(folder, &|path| {
-        let text = || std::fs::read_to_string(path).unwrap_or_default();
+        let text = || read_text(path).unwrap_or_default();
         path.extension().is_some_and(|e| e == "toml")
             && !cameras(&text().parse().unwrap_or_default()).is_empty()
     })

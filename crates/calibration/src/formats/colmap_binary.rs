@@ -2,9 +2,12 @@
 
 use super::colmap::{CameraRecord, ImageRecord, Model};
 use crate::{CalibrationError, ColouredPoint};
-use ffgs_core::ImageSize;
+use ffgs_core::{ImageSize, read_bytes};
 use glam::DVec3;
 use std::path::Path;
+
+/// A model of ten thousand images with ten thousand observations each takes half of it.
+const MAX_MODEL_BYTES: u64 = 1 << 32;
 
 /// Model ids of COLMAP and the number of their parameters.
 const MODELS: [(&str, usize); 11] = [
@@ -31,7 +34,7 @@ pub(super) fn read(cameras: &Path) -> Result<Model, CalibrationError> {
 }
 
 fn records<T>(file: &Path, read: impl Fn(&mut Bytes) -> Option<T>) -> Result<Vec<T>, CalibrationError> {
-    let data = std::fs::read(file).map_err(|e| CalibrationError::io(file, e))?;
+    let data = read_bytes(file, MAX_MODEL_BYTES).map_err(|e| CalibrationError::io(file, e))?;
     let mut bytes = Bytes(&data);
     let damaged = || CalibrationError::content(file, "not a binary model of COLMAP, or truncated");
     let count = bytes.u64().ok_or_else(damaged)?;

@@ -12,9 +12,11 @@ mod transforms;
 
 use crate::media::{is_footage, natural_order};
 use crate::{CalibrationError, Footage, SourceCamera};
-use ffgs_core::{Camera, ImageSize, Intrinsics};
+use ffgs_core::{Camera, ImageSize, Intrinsics, open_input};
 use glam::{DMat3, DMat4, DQuat, DVec3};
+use image::ImageReader;
 use std::fs;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 /// A format in which calibrations come.
@@ -83,8 +85,11 @@ fn file_called(folder: &Path, name: &str) -> Option<PathBuf> {
     find_below(folder, &|path| path.is_file() && path.file_name().is_some_and(|n| n == name))
 }
 
+/// A text model of COLMAP with a million points and their tracks takes a fifth of it.
+const MAX_TEXT_BYTES: u64 = 1 << 30;
+
 fn read_text(file: &Path) -> Result<String, CalibrationError> {
-    fs::read_to_string(file).map_err(|e| CalibrationError::io(file, e))
+    ffgs_core::read_text(file, MAX_TEXT_BYTES).map_err(|e| CalibrationError::io(file, e))
 }
 
 /// Refuses what is no camera, by the rules of [`Camera`].
@@ -104,8 +109,11 @@ fn timestamps_near(file: &Path, first_picture: Option<&Path>) -> Option<PathBuf>
 
 /// Width and height from the header of an image.
 fn image_size(file: &Path) -> Result<ImageSize, CalibrationError> {
+    let opened = open_input(file).map_err(|e| CalibrationError::io(file, e))?;
+    let guessed = ImageReader::new(BufReader::new(opened)).with_guessed_format();
+    let reader = guessed.map_err(|e| CalibrationError::io(file, e))?;
     let (width, height) =
-        image::image_dimensions(file).map_err(|e| CalibrationError::content(file, e.to_string()))?;
+        reader.into_dimensions().map_err(|e| CalibrationError::content(file, e.to_string()))?;
     Ok(ImageSize { width: width as usize, height: height as usize })
 }
 
