@@ -186,7 +186,7 @@ fn main_job(root: &Path) -> Result<Outcome> {
 /// One round of the campaign, on the program with overflow checks that the tests have built.
 #[cfg(unix)]
 fn torture(root: &Path) -> Result<Outcome> {
-    passed(crate::torture::run(root, &crate::torture::Options::one_round("dev")))
+    passed(crate::torture::run(root, &crate::torture::Options::ci("dev")))
 }
 
 /// The campaign is made of signals and limits of Unix.

@@ -9,18 +9,21 @@ use std::path::{Path, PathBuf};
 /// Frames kept.
 pub const FRAMES: usize = 3;
 /// Camera lists, and which of their cameras are kept.
-const METAS: [(&str, &[usize], usize); 3] =
-    [("train_meta.json", &[0, 4, 8], FRAMES), ("test_meta.json", &[0], FRAMES), ("init_meta.json", &[0], 1)];
+const METAS: [(&str, &[usize]); 3] =
+    [("train_meta.json", &[0, 4, 8]), ("test_meta.json", &[0]), ("init_meta.json", &[0])];
 
-/// Writes the cut into `to`, which must not exist.
-pub fn cut(root: &Path, to: &Path) -> Result<()> {
+/// Writes the cut into `to`, which must not exist. More frames than the sample has show its frames again, in turn; tracks go by
+/// the names of images, and there are none to a first frame.
+pub fn cut(root: &Path, to: &Path, frames: usize) -> Result<()> {
     let sample = root.join(SAMPLE);
     let mut cameras = Vec::new();
-    for (file, kept, frames) in METAS {
+    for (file, kept) in METAS {
         let text = fs::read_to_string(sample.join(file)).with_context(|| format!("cannot read {file}"))?;
         let mut meta: Value = serde_json::from_str(&text)?;
         for key in ["k", "w2c", "fn", "cam_id"] {
-            let rows = meta[key].as_array().context("no list")?.iter().take(frames);
+            let rows = meta[key].as_array().context("no list")?.clone();
+            let frames = if file == "init_meta.json" { rows.len() } else { frames };
+            let rows = rows.iter().cycle().take(frames);
             meta[key] = rows.map(|row| kept.iter().map(|&c| row[c].clone()).collect::<Value>()).collect();
         }
         for name in meta["fn"].as_array().into_iter().flatten().filter_map(|row| row.as_array()).flatten() {
@@ -32,14 +35,20 @@ pub fn cut(root: &Path, to: &Path) -> Result<()> {
         fs::write(to.join(file), meta.to_string())?;
     }
     copy(&sample.join("init_pt_cld.npz"), &to.join("init_pt_cld.npz"))?;
+    copy_tracks(&sample, to, &cameras)
+}
+
+fn copy_tracks(sample: &Path, to: &Path, cameras: &[String]) -> Result<()> {
     for file in files(&sample.join("tracks"))? {
         let kept =
             file.components().any(|part| cameras.iter().any(|camera| part.as_os_str() == camera.as_str()));
         if kept || file.extension().is_some_and(|extension| extension == "json") {
-            copy(&file, &to.join(file.strip_prefix(&sample)?))?;
+            copy(&file, &to.join(file.strip_prefix(sample)?))?;
         }
     }
-    Ok(())
+    let index = to.join("tracks/tracks.json");
+    let text = fs::read_to_string(&index)?.replace("{frame:06}", "{stem}");
+    fs::write(index, text).context("cannot write tracks.json")
 }
 
 /// Every file below a folder, in order.

@@ -2,8 +2,10 @@
 
 use super::capture::{self, copy_folder, files};
 use super::damage::Random;
+use super::interposer::{Interposer, Told, told};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
@@ -19,6 +21,8 @@ const CPU_SECONDS: u64 = 60;
 const WALL_SECONDS: u64 = 900;
 /// No capture of this size needs more address space (KiB).
 const ADDRESS_KIB: u64 = 6 << 20;
+/// Runs have from one to so many threads.
+const MOST_THREADS: usize = 3;
 /// Signals that limits end a program with.
 const SIGXCPU: i32 = 24;
 
@@ -26,6 +30,9 @@ const SIGXCPU: i32 = 24;
 pub struct Laboratory {
     /// The repository.
     pub root: PathBuf,
+    /// Calls to the system of the undisturbed run; none where the library is not to be had.
+    pub calls: Told,
+    interposer: Result<Interposer>,
     program: PathBuf,
     folder: TempDir,
 }
@@ -34,13 +41,35 @@ impl Laboratory {
     /// Cuts the capture and makes the run.
     pub fn new(root: &Path, program: PathBuf) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-        let laboratory = Self { root: root.to_owned(), program, folder };
-        capture::cut(root, &laboratory.capture())?;
+        let interposer = Interposer::build(folder.path());
+        let (root, calls) = (root.to_owned(), Told::new());
+        let mut laboratory = Self { root, calls, interposer, program, folder };
+        capture::cut(&laboratory.root, &laboratory.capture(), capture::FRAMES)?;
         let mut case = Case::new(&laboratory, 0, "reference", 0)?;
         let (capture, run) = (laboratory.capture(), laboratory.run());
         let output = case.ffgs(&run_words(&capture, &run, &[]))?;
         ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
+        laboratory.calls = told(&laboratory.report());
         Ok(laboratory)
+    }
+
+    /// Why calls to the system cannot be made to fail here; `None` where they can.
+    pub fn no_interposer(&self) -> Option<String> {
+        self.interposer.as_ref().err().map(|reason| format!("{reason:#}"))
+    }
+
+    /// Where the library between the program and the system writes.
+    fn report(&self) -> PathBuf {
+        self.folder.path().join("told")
+    }
+
+    /// A folder that cases share, made by `make` when it is first asked for.
+    pub fn shared(&self, name: &str, make: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
+        let path = self.folder.path().join(name);
+        if !path.exists() {
+            make(&path)?;
+        }
+        Ok(path)
     }
 
     /// The capture; cases that change it copy it.
@@ -66,9 +95,15 @@ pub fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String> {
 pub struct Case<'a> {
     /// What all cases share.
     pub laboratory: &'a Laboratory,
+    /// Seed of the round.
+    pub seed: u64,
+    /// Which case of its kind.
+    pub number: u64,
     folder: TempDir,
     /// The case's random numbers.
     pub random: Random,
+    /// Most memory that the program has held (KiB), where it is known.
+    peak: Cell<u64>,
 }
 
 impl<'a> Case<'a> {
@@ -77,7 +112,12 @@ impl<'a> Case<'a> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let start = kind.bytes().fold(seed, |sum, byte| sum.wrapping_mul(257).wrapping_add(byte.into()));
         let random = Random(start ^ (number as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        Ok(Self { laboratory, folder, random })
+        Ok(Self { laboratory, seed, number: number as u64, folder, random, peak: Cell::new(0) })
+    }
+
+    /// Most memory that the program has held in this case (KiB).
+    pub fn peak(&self) -> u64 {
+        self.peak.get()
     }
 
     /// A random number below `count`, which is not 0.
@@ -113,12 +153,20 @@ impl<'a> Case<'a> {
         copy_folder(self.folder.path(), at)
     }
 
-    /// The program under shell limits (`ulimit ...;`), ready to start.
+    /// The program under shell limits (`ulimit ...;`) and that of processor time, ready to start.
     pub fn limited(&mut self, limits: &str, words: &[String]) -> Command {
+        self.started(&format!("ulimit -t {CPU_SECONDS}; {limits}"), words)
+    }
+
+    /// The program under shell limits, ready to start.
+    pub fn started(&mut self, limits: &str, words: &[String]) -> Command {
         let mut command = Command::new("sh");
-        let script = format!("ulimit -t {CPU_SECONDS}; {limits} exec \"$0\" \"$@\"");
+        let script = format!("{limits} export LD_PRELOAD=\"$TORTURE_LIBRARY\"; exec \"$0\" \"$@\"");
         command.args(["-c", &script]).arg(&self.laboratory.program).args(words);
-        command.env("RAYON_NUM_THREADS", (1 + self.below(3)).to_string());
+        command.env("RAYON_NUM_THREADS", (1 + self.below(MOST_THREADS)).to_string());
+        if let Ok(interposer) = &self.laboratory.interposer {
+            interposer.put_under(&mut command, &self.laboratory.report());
+        }
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -133,14 +181,24 @@ impl<'a> Case<'a> {
         inner.get_envs().for_each(|(key, value)| {
             command.env(key, value.unwrap_or_default());
         });
-        judged(command.stdin(Stdio::null()).output().context("cannot start the program")?)
-            .with_context(|| format!("ffgs {}", words.join(" ")))
+        let report = self.laboratory.report();
+        let _ = fs::remove_file(&report);
+        let output = command.stdin(Stdio::null()).output().context("cannot start the program")?;
+        let peak = told(&report).get("peak").copied().unwrap_or(0);
+        self.peak.set(self.peak.get().max(peak));
+        judged(output).with_context(|| format!("ffgs {}", words.join(" ")))
     }
 }
 
 /// Both streams as text.
 pub fn said(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+/// Whether a message names a file of the case or of what all cases share.
+pub fn names_a_file(case: &Case, text: &str) -> bool {
+    let within = |folder: &Path| text.contains(&format!("{}/", folder.display()));
+    within(case.folder.path()) || within(case.laboratory.folder.path())
 }
 
 /// Refuses an end that no input may cause.
@@ -157,13 +215,15 @@ pub fn judged(output: Output) -> Result<Output> {
     }
 }
 
-/// The files of a run that must be the same whatever happened on the way: everything but times, memory and the report's
-/// copy of them.
-pub fn results(run: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+/// The files of a run that must be the same whatever happened on the way: all of them where the clock stood still, else
+/// everything but times, memory and the report's copy of them.
+pub fn results(run: &Path, no_time: bool) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut results = BTreeMap::new();
     for file in files(run)? {
         let name = file.strip_prefix(run)?.to_owned();
         let bytes = match name.file_name().and_then(|n| n.to_str()) {
+            Some("report.html" | "run.json") if no_time => threadless(&file)?,
+            _ if no_time => fs::read(&file)?,
             Some("report.html" | "run.json") => continue,
             Some("metrics.json" | "frame.json") => timeless(&file)?,
             _ => fs::read(&file)?,
@@ -171,6 +231,12 @@ pub fn results(run: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
         results.insert(name, bytes);
     }
     Ok(results)
+}
+
+/// A text without the number of threads that a run began with.
+fn threadless(file: &Path) -> Result<Vec<u8>> {
+    let text = fs::read_to_string(file)?;
+    Ok((1..=MOST_THREADS).fold(text, |text, n| text.replace(&format!(", {n} threads"), "")).into_bytes())
 }
 
 fn timeless(file: &Path) -> Result<Vec<u8>> {
@@ -192,7 +258,12 @@ fn forget_times(value: &mut Value) {
 
 /// Refuses a run that differs from the undisturbed one.
 pub fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
-    let (expected, found) = (results(&laboratory.run())?, results(run)?);
+    equal_runs(&laboratory.run(), run, laboratory.no_interposer().is_none()).map(|_| ())
+}
+
+/// Refuses a run that differs from another, its times too when none passed; how many files were compared.
+pub fn equal_runs(undisturbed: &Path, run: &Path, no_time: bool) -> Result<usize> {
+    let (expected, found) = (results(undisturbed, no_time)?, results(run, no_time)?);
     for (name, bytes) in &expected {
         let other = found.get(name).with_context(|| format!("{} is missing", name.display()))?;
         ensure!(bytes == other, "{} differs from that of a run that was never stopped", name.display());
@@ -200,5 +271,5 @@ pub fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
     let extra: Vec<_> = found.keys().filter(|name| !expected.contains_key(*name)).collect();
     ensure!(extra.is_empty(), "left behind: {extra:?}");
     ensure!(run.join("report.html").is_file(), "no report");
-    Ok(())
+    Ok(expected.len())
 }

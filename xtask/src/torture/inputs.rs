@@ -1,7 +1,7 @@
 //! Files that are not what they should be: used, or refused with a sentence; nothing written where it does not belong.
 
 use super::capture::files;
-use super::case::{Case, run_words, said};
+use super::case::{Case, names_a_file, run_words, said};
 use super::damage::damage;
 use super::mutation::{crc32, damage_file, odd_value};
 use anyhow::{Context, Result, ensure};
@@ -26,7 +26,8 @@ fn is_json(file: &Path) -> bool {
     file.extension().is_some_and(|extension| extension == "json")
 }
 
-fn change(case: &mut Case, file: &Path) -> Result<()> {
+/// Damages a file by its kind.
+pub fn change(case: &mut Case, file: &Path) -> Result<()> {
     let mut bytes = fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     damage_file(case, is_json(file), &mut bytes);
     Ok(fs::write(file, bytes)?)
@@ -63,8 +64,8 @@ fn finite_metrics(run: &Output, out: &Path) -> Result<()> {
 }
 
 /// Nothing is written beside the case's own folders.
-fn stays_inside(case: &Case) -> Result<()> {
-    let known = ["capture", "out", "run", "settings.toml", "in.npz", "out.npz"];
+pub fn stays_inside(case: &Case) -> Result<()> {
+    let known = ["capture", "footage", "out", "run", "settings.toml", "in.npz", "out.npz"];
     for entry in fs::read_dir(case.path("."))?.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         ensure!(known.contains(&name.as_str()), "{name} was written outside of the output folder");
@@ -114,15 +115,7 @@ pub fn no_files(case: &mut Case) -> Result<()> {
     let capture = case.copied_capture()?;
     let pool = files(&capture)?;
     let file = case.one_of(&pool);
-    fs::remove_file(&file)?;
-    match case.below(4) {
-        0 => {
-            std::process::Command::new("mkfifo").arg(&file).status()?;
-        }
-        1 => std::os::unix::fs::symlink("/dev/zero", &file)?,
-        2 => std::os::unix::fs::symlink(&file, &file)?,
-        _ => fs::create_dir(&file)?,
-    }
+    replace_by_no_file(case, &file)?;
     let ended = case.ffgs(&["check".into(), capture.display().to_string(), "--quiet".into()])?;
     // What is removed again here could not be copied if the case failed.
     let _ = fs::remove_file(&file).or_else(|_| fs::remove_dir(&file));
@@ -132,8 +125,22 @@ pub fn no_files(case: &mut Case) -> Result<()> {
     Ok(())
 }
 
-/// A file of a run damaged, states with a right checksum too: measured, rendered and resumed.
-pub fn damaged_run(case: &mut Case) -> Result<()> {
+/// Puts a pipe, a device, a link in a circle or a folder in the place of a file.
+pub fn replace_by_no_file(case: &mut Case, file: &Path) -> Result<()> {
+    fs::remove_file(file)?;
+    match case.below(4) {
+        0 => {
+            std::process::Command::new("mkfifo").arg(file).status()?;
+        }
+        1 => std::os::unix::fs::symlink("/dev/zero", file)?,
+        2 => std::os::unix::fs::symlink(file, file)?,
+        _ => fs::create_dir(file)?,
+    }
+    Ok(())
+}
+
+/// A copy of the undisturbed run with a damaged file, states with a right checksum too.
+pub fn damaged_file_of_run(case: &mut Case) -> Result<PathBuf> {
     let run = case.copied_run()?;
     let pool: Vec<PathBuf> =
         files(&run)?.into_iter().filter(|f| is_json(f) || f.ends_with("state.ffgs")).collect();
@@ -142,6 +149,12 @@ pub fn damaged_run(case: &mut Case) -> Result<()> {
     if file.ends_with("state.ffgs") && case.below(4) > 0 {
         mend_checksum(&file)?;
     }
+    Ok(run)
+}
+
+/// A damaged run: measured, rendered and resumed.
+pub fn damaged_run(case: &mut Case) -> Result<()> {
+    let run = damaged_file_of_run(case)?;
     let path = run.display().to_string();
     let words: Vec<String> = match case.below(3) {
         0 => ["eval", &path, "--device", "cpu", "--quiet"].map(str::to_owned).to_vec(),
@@ -150,7 +163,8 @@ pub fn damaged_run(case: &mut Case) -> Result<()> {
         }
         _ => run_words(&case.laboratory.capture(), &run, &["--resume"]),
     };
-    case.ffgs(&words)?;
+    let ended = case.ffgs(&words)?;
+    ensure!(ended.status.success() || names_a_file(case, &said(&ended)), "which file? {}", said(&ended));
     stays_inside(case)
 }
 
@@ -177,7 +191,11 @@ pub fn odd_settings(case: &mut Case) -> Result<()> {
         *at(&mut settings, &path).context("no such key")? = value;
     }
     let file = case.path("settings.toml");
-    fs::write(&file, toml::to_string(&settings)?)?;
+    let mut text = toml::to_string(&settings)?.into_bytes();
+    if case.below(4) == 0 {
+        damage(&mut case.random, &mut text);
+    }
+    fs::write(&file, text)?;
     let out = case.path("out");
     let named = file.display().to_string();
     let run =

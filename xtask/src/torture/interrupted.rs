@@ -48,7 +48,7 @@ fn stop(child: &Child, signal: &str) -> Result<()> {
 }
 
 /// Resumes without limits and compares.
-fn finish(case: &mut Case, out: &Path) -> Result<()> {
+pub fn finish(case: &mut Case, out: &Path) -> Result<()> {
     let words = run_words(&case.laboratory.capture(), out, &["--resume"]);
     let output = case.ffgs(&words)?;
     ensure!(output.status.success(), "the resumed run failed: {}", said(&output));
@@ -56,7 +56,7 @@ fn finish(case: &mut Case, out: &Path) -> Result<()> {
 }
 
 /// A frame that has a state has its numbers, and JSON files are whole.
-fn whole_frames(out: &Path) -> Result<()> {
+pub fn whole_frames(out: &Path) -> Result<()> {
     for entry in fs::read_dir(out.join("frames")).into_iter().flatten().flatten() {
         let record = entry.path().join("frame.json");
         if entry.path().join("state.ffgs").exists() || record.exists() {

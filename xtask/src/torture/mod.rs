@@ -6,15 +6,20 @@ mod capture;
 mod case;
 #[path = "../../../fuzz/damage.rs"]
 mod damage;
+mod exports;
+mod footage;
+mod injected;
 mod inputs;
+mod interposer;
 mod interrupted;
+mod long;
 mod mutation;
 
 use crate::{ffgs, workspace};
 use anyhow::{Context, Result, ensure};
 use case::{Case, Laboratory};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What to torture, and for how long.
@@ -29,38 +34,88 @@ pub struct Options {
     /// Only these kinds, by the names that the table shows
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     only: Vec<String>,
+    /// Cases of each kind a round instead of the usual number
+    #[arg(long, value_name = "N")]
+    cases: Option<usize>,
     /// Only this case of each kind
     #[arg(long, value_name = "N")]
     case: Option<usize>,
     /// Profile of the program: `dev` checks arithmetic for overflow, `release` is what users have
     #[arg(long, default_value = "release")]
     profile: String,
+    /// A program that is built already, instead of building one
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// The few cases of CI
+    #[arg(skip)]
+    in_ci: bool,
 }
 
 impl Options {
-    /// One round of every kind.
-    pub fn one_round(profile: &str) -> Self {
-        Self { seed: 1, minutes: 0, only: Vec::new(), case: None, profile: profile.to_owned() }
+    /// The round of CI.
+    pub fn ci(profile: &str) -> Self {
+        Self {
+            seed: 1,
+            minutes: 0,
+            only: Vec::new(),
+            cases: None,
+            case: None,
+            profile: profile.to_owned(),
+            program: None,
+            in_ci: true,
+        }
+    }
+
+    fn wants(&self, name: &str) -> bool {
+        if self.only.is_empty() { name != LONG } else { self.only.iter().any(|only| only == name) }
+    }
+
+    fn cases(&self, kind: &Kind) -> std::ops::Range<usize> {
+        let usual = if self.in_ci { kind.in_ci } else { kind.by_hand };
+        self.case.map_or(0..self.cases.unwrap_or(usual), |case| case..case + 1)
     }
 }
 
 /// What a case of a kind does; an error says what is wrong with the program.
 type Torment = fn(&mut Case) -> Result<()>;
 
-/// Name, cases a round, and the case itself.
-const KINDS: [(&str, usize, Torment); 11] = [
-    ("kills", 6, interrupted::killed),
-    ("signals", 2, interrupted::signalled),
-    ("file-size", 4, interrupted::short_of_disk),
-    ("memory", 3, interrupted::short_of_memory),
-    ("concurrent", 3, interrupted::concurrent),
-    ("captures", 60, inputs::damaged_capture),
-    ("names", 12, inputs::hostile_names),
-    ("devices", 8, inputs::no_files),
-    ("runs", 30, inputs::damaged_run),
-    ("settings", 30, inputs::odd_settings),
-    ("stages", 40, inputs::damaged_stage_input),
+/// What is done to the program again and again.
+struct Kind {
+    name: &'static str,
+    /// Cases of the round in CI, which takes seconds.
+    in_ci: usize,
+    /// Cases of a round by hand.
+    by_hand: usize,
+    torment: Torment,
+}
+
+const fn kind(name: &'static str, in_ci: usize, by_hand: usize, torment: Torment) -> Kind {
+    Kind { name, in_ci, by_hand, torment }
+}
+
+const KINDS: [Kind; 17] = [
+    kind("kills", 2, 6, interrupted::killed),
+    kind("calls", 0, injected::CALLS_A_ROUND, injected::killed_at_calls),
+    kind("io-errors", 0, 8, injected::failing_calls),
+    kind("signals", 1, 2, interrupted::signalled),
+    kind("file-size", 1, 4, interrupted::short_of_disk),
+    kind("memory", 1, 3, interrupted::short_of_memory),
+    kind("concurrent", 1, 3, interrupted::concurrent),
+    kind("captures", 12, 60, inputs::damaged_capture),
+    kind("names", 4, 12, inputs::hostile_names),
+    kind("devices", 6, 8, inputs::no_files),
+    kind("footage", 0, 20, footage::damaged_footage),
+    kind("runs", 8, 30, inputs::damaged_run),
+    kind("exports", 0, 10, exports::damaged_export),
+    kind("streams", 0, 12, exports::damaged_stream),
+    kind("settings", 8, 30, inputs::odd_settings),
+    kind("stages", 20, 40, inputs::damaged_stage_input),
+    kind(LONG, 0, 1, long::killed_a_hundred_times),
 ];
+/// The kind that takes an hour: only by its name.
+const LONG: &str = "long";
+/// Kinds that need the library between the program and the system.
+const INJECTED: [&str; 2] = ["calls", "io-errors"];
 
 /// Cases and failures of a kind.
 #[derive(Default)]
@@ -68,15 +123,23 @@ struct Count {
     cases: usize,
     failures: usize,
     seconds: f64,
+    /// Most memory that the program held (KiB), where it is known.
+    peak: u64,
 }
 
 /// Runs rounds of all kinds, prints each failure with its reproduction and a table of counts.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
-    let names: Vec<&str> = KINDS.iter().map(|kind| kind.0).collect();
+    let names: Vec<&str> = KINDS.iter().map(|kind| kind.name).collect();
     let unknown = options.only.iter().find(|name| !names.contains(&name.as_str()));
     ensure!(unknown.is_none(), "no kind {unknown:?}; there are: {}", names.join(", "));
-    let program = ffgs::build_in(root, &options.profile)?;
+    let program = match &options.program {
+        Some(program) => program.canonicalize().with_context(|| format!("no {}", program.display()))?,
+        None => ffgs::build_in(root, &options.profile)?,
+    };
     let laboratory = Laboratory::new(root, program)?;
+    if let Some(reason) = laboratory.no_interposer() {
+        println!("skipped {}: {reason}", INJECTED.join(", "));
+    }
     let kept = workspace::target(root).join("torture");
     let (start, mut counts) = (Instant::now(), BTreeMap::new());
     for round in 0.. {
@@ -101,15 +164,17 @@ fn torment(
     kept: &Path,
     counts: &mut BTreeMap<&'static str, Count>,
 ) -> Result<()> {
-    let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|only| only == name);
-    for (name, cases, torment) in KINDS.into_iter().filter(|kind| wanted(kind.0)) {
-        let chosen = options.case.map_or(0..cases, |case| case..case + 1);
+    let possible = |name: &str| laboratory.no_interposer().is_none() || !INJECTED.contains(&name);
+    for kind in KINDS.iter().filter(|kind| options.wants(kind.name) && possible(kind.name)) {
+        let name = kind.name;
         let count = counts.entry(name).or_default();
         let start = Instant::now();
-        for number in chosen {
+        for number in options.cases(kind) {
             let mut case = Case::new(laboratory, seed, name, number)?;
             count.cases += 1;
-            if let Err(fault) = torment(&mut case) {
+            let ended = (kind.torment)(&mut case);
+            count.peak = count.peak.max(case.peak());
+            if let Err(fault) = ended {
                 count.failures += 1;
                 let again =
                     format!("--seed {seed} --only {name} --case {number} --profile {}", options.profile);
@@ -124,7 +189,11 @@ fn torment(
 
 fn table(counts: &BTreeMap<&str, Count>) -> String {
     let line = |(name, count): (&&str, &Count)| {
-        format!("{name:<12} {:>6} cases {:>4} failures {:>8.1} s", count.cases, count.failures, count.seconds)
+        let Count { cases, failures, seconds, peak } = count;
+        format!(
+            "{name:<12} {cases:>6} cases {failures:>4} failures {seconds:>8.1} s {:>6} MiB at most",
+            peak >> 10
+        )
     };
     counts.iter().map(line).collect::<Vec<_>>().join("\n")
 }
