@@ -128,16 +128,21 @@ impl Departing {
         self.views.iter().map(move |v| v.normal(weight(v)))
     }
 
-    /// Logarithm of the odds of a departure against none, where a view has the `variance` (px^2).
+    /// Logarithm of the odds of a departure against none, where a view of the group has the `variance` (px^2).
     pub fn evidence(&self, variance: f64) -> f64 {
-        self.odds(self.cofactor * variance)
+        self.odds(self.covariance(variance))
+    }
+
+    /// Covariance of the offset (m^2). Views that contradict each other here know less than those of the group's other cells.
+    pub fn covariance(&self, variance: f64) -> Symmetric {
+        self.cofactor * variance.max(self.variance)
     }
 
     /// The same, against what trackers get wrong alike in all views.
     pub fn cautious_evidence(&self, variance: f64) -> f64 {
         let moved = self.step + self.offset;
         let across = Symmetric::scalar((ACROSS * moved.length()).powi(2));
-        self.odds(self.cofactor * variance + Symmetric::outer(moved) * ALONG.powi(2) + across)
+        self.odds(self.covariance(variance) + Symmetric::outer(moved) * ALONG.powi(2) + across)
     }
 
     fn odds(&self, covariance: Symmetric) -> f64 {

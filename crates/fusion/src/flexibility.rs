@@ -82,7 +82,7 @@ impl Flexibility {
             for &i in *members {
                 self.evidence[i] = all[k].unwrap_or(0.0);
                 self.probability[i] = probability(flexible.exp()) * probability(odds * own[k].exp());
-                self.noise[i] = departing.map_or(Symmetric::default(), |d| d.cofactor * variance);
+                self.noise[i] = departing.map_or(Symmetric::default(), |d| d.covariance(variance));
             }
         }
     }

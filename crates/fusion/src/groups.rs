@@ -31,7 +31,8 @@ pub struct GroupsConfig {
     pub max_groups: usize,
     /// Gaussians a group's motion is fitted to at most.
     pub sample: usize,
-    /// Squared Mahalanobis distance beyond which evidence contradicts a motion; 11.3 is the 99 % point.
+    /// Squared Mahalanobis distance beyond which evidence contradicts a motion. Far above the 99 % point, 11.3: errors of
+    /// trackers have longer tails than a normal distribution, and those of neighbours are alike.
     pub leave: f64,
     /// Cells nearer than this many typical cell diagonals are connected.
     pub reach: f64,
@@ -48,7 +49,7 @@ impl Default for GroupsConfig {
             min_cells: 3,
             max_groups: 32,
             sample: 4096,
-            leave: 11.3,
+            leave: 100.0,
             reach: 1.5,
             patches: 6.0,
         }

@@ -237,7 +237,7 @@ impl Leavers<'_> {
     }
 }
 
-/// Share of the limit that every tracker alone must exceed: 6.25, the 90 % point, of 11.3.
+/// Share of the limit that every tracker alone must exceed: as the 90 % point, 6.25, of the 99 % point, 11.3.
 const ALONE: f64 = 0.55;
 
 /// The departure of a Gaussian with deviation `own`, if more than half of its neighbours side with it.

@@ -111,11 +111,13 @@ fn precise_trackers_that_err_alike_nearby_leave_a_rigid_body_rigid() {
     }
 }
 
-/// Short of 90 %: see docs/motion.md.
+/// Rather too wide than too narrow: see docs/motion.md.
 #[test]
-fn posteriors_of_a_walker_hold_most_of_the_truth() {
-    let coverage = all(Scenario::Walker, Recipe::default()).coverage_at(0.9).unwrap();
-    assert!((0.77..0.96).contains(&coverage), "{coverage}");
+fn posteriors_of_what_deforms_hold_the_truth() {
+    for (scenario, least) in [(Scenario::Walker, 0.9), (Scenario::Bending, 0.85), (Scenario::Board, 0.8)] {
+        let coverage = all(scenario, Recipe::default()).coverage_at(0.9).unwrap();
+        assert!((least..0.995).contains(&coverage), "{scenario:?}: {coverage}");
+    }
 }
 
 /// As a group of its own it is found in some scenes only (docs/motion.md); its motion is found in all.
