@@ -5,7 +5,8 @@ use ffgs_core::ImageSize;
 use ffgs_dataset::Capture;
 use ffgs_method::Split;
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::record::{FrameRecord, read_json};
+use ffgs_pipeline::json::read_json;
+use ffgs_pipeline::record::FrameRecord;
 use ffgs_splats::{load_checkpoint, read_ply};
 use ffgs_tracks::TrackStore;
 use std::fs;
@@ -73,7 +74,7 @@ fn track(level: &str, format: &str, bytes: &[u8]) {
         format!(r#"{{"name":"t","level":"{level}","format":"{format}","pattern":"{{camera}}/{{frame}}"}}"#);
     write(folder.path(), "tracks/tracks.json", format!(r#"{{"trackers":[{tracker}]}}"#).as_bytes());
     let store = TrackStore::open(folder.path()).expect("a sound list").expect("a list");
-    let _ = store.load_counted(0, "a", 0, SIZE);
+    let _ = store.load(0, "a", 0, SIZE);
 }
 
 fn tracks_json(bytes: &[u8]) {

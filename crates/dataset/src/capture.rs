@@ -1,5 +1,8 @@
-use crate::meta::{Entry, Meta, io_error};
-use crate::{DatasetError, pixels, points};
+//! A capture of the layout.
+
+use crate::error::DatasetError;
+use crate::meta::{Entry, Meta, View};
+use crate::{pixels, points};
 use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
 use ffgs_method::{Points, Split};
 use std::io;
@@ -17,15 +20,6 @@ pub(crate) fn meta_file(split: Split) -> &'static str {
     }
 }
 
-/// A physical camera of a capture.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct View {
-    /// Folder of its images below `ims/`.
-    pub name: String,
-    /// `cam_id` of the meta file.
-    pub id: u32,
-}
-
 /// An opened capture: camera lists are in memory, images are read when asked for.
 #[derive(Debug)]
 pub struct Capture {
@@ -39,7 +33,10 @@ impl Capture {
     /// Reads the camera lists of the capture in `root`. Cameras that are none are reported when asked for.
     pub fn open(root: &Path) -> Result<Self, DatasetError> {
         if !root.is_dir() {
-            return Err(io_error(root, io::Error::new(io::ErrorKind::NotFound, "no such capture folder")));
+            return Err(DatasetError::io(
+                root,
+                io::Error::new(io::ErrorKind::NotFound, "no such capture folder"),
+            ));
         }
         let file = |split: Split| root.join(meta_file(split));
         let train = Meta::read(&file(Split::Train))?;
@@ -104,7 +101,7 @@ impl Capture {
     /// Reads an image of the size of its camera.
     pub fn load_image(&self, split: Split, view: usize, frame: usize) -> Result<ImageRgb8, DatasetError> {
         let size = self.camera(split, view, frame)?.size();
-        pixels::read_rgb(&self.image_path(split, view, frame)?, size)
+        pixels::read_image(&self.image_path(split, view, frame)?, size)
     }
 
     /// Checks that the image is there, has the size of its camera and is not cut off, without decoding it.
@@ -113,7 +110,7 @@ impl Capture {
     /// As [`Capture::load_image`]; damage inside the file is found only by that.
     pub fn probe_image(&self, split: Split, view: usize, frame: usize) -> Result<(), DatasetError> {
         let size = self.camera(split, view, frame)?.size();
-        pixels::probe(&self.image_path(split, view, frame)?, size)
+        pixels::probe_image(&self.image_path(split, view, frame)?, size)
     }
 
     /// Reads a foreground mask of the size of its camera; `None` when the capture has no mask for this image.

@@ -1,10 +1,10 @@
-use crate::capture::meta_file;
+//! What a capture of any format holds, and what is wrong with it.
+
+use crate::report::{CheckReport, Note, SplitSummary, ViewSummary};
 use crate::suspicions;
-use crate::{Capture, CheckReport, DatasetError, Note, SplitSummary, ViewSummary};
 use ffgs_core::{ImageRgb8, Mask, is_present};
-use ffgs_method::{Fault, Points, Split};
+use ffgs_method::{Capture, Fault, Part, Points, Split, ViewAt};
 use rayon::prelude::*;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Below this no motion can be triangulated.
@@ -15,18 +15,18 @@ const MIN_TRAIN_VIEWS: usize = 2;
 pub enum ImageCheck {
     /// Every image is decoded.
     Decode,
-    /// Size and completeness only ([`Capture::probe_image`]): for a caller that decodes them later anyway.
+    /// Size and completeness only ([`Capture::probe`]): for a caller that decodes them later anyway.
     Probe,
 }
 
 /// Reads every file of the capture, in parallel, and lists what it holds and what is wrong.
-pub fn check(capture: &Capture) -> CheckReport {
+pub fn check(capture: &dyn Capture) -> CheckReport {
     check_with_progress(capture, ImageCheck::Decode, &|_, _| ())
 }
 
 /// As [`check`]; calls `progress(done, total)` after every image, from any thread.
 pub fn check_with_progress(
-    capture: &Capture,
+    capture: &dyn Capture,
     images: ImageCheck,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> CheckReport {
@@ -54,12 +54,13 @@ pub fn check_with_progress(
     report
 }
 
-fn check_points(capture: &Capture, report: &mut CheckReport) -> Points {
-    let file = capture.points_path();
-    let points = capture.initial_points().unwrap_or_else(|error| {
-        report.faults.push(error.in_capture(capture.root()));
-        Points::default()
+fn check_points(capture: &dyn Capture, report: &mut CheckReport) -> Points {
+    let file = capture.part(Part::Points);
+    let found = capture.points().unwrap_or_else(|fault| {
+        report.faults.push(fault);
+        None
     });
+    let points = found.unwrap_or_default();
     report.points = points.len();
     report.foreground_points = points.foreground_count();
     let mut add = |problem: String, fix: &str| {
@@ -77,7 +78,7 @@ fn check_points(capture: &Capture, report: &mut CheckReport) -> Points {
 
 /// What the check of a view needs.
 struct Checker<'a> {
-    capture: &'a Capture,
+    capture: &'a dyn Capture,
     images: ImageCheck,
     points: &'a Points,
     tick: &'a (dyn Fn() + Sync),
@@ -88,8 +89,9 @@ impl Checker<'_> {
         let mut summary = self.empty_summary(split, view);
         let mut faults = Vec::new();
         for frame in 0..self.capture.frames_of(split) {
-            if let Err(error) = self.frame(split, view, frame, &mut summary, &mut faults) {
-                faults.push(error.in_capture(self.capture.root()));
+            let at = ViewAt { split, view, frame };
+            if let Err(fault) = self.frame(at, &mut summary, &mut faults) {
+                faults.push(fault);
             }
             (self.tick)();
         }
@@ -101,16 +103,17 @@ impl Checker<'_> {
 
     fn empty_summary(&self, split: Split, view: usize) -> ViewSummary {
         let capture = self.capture;
-        let camera = capture.camera(split, view, 0).ok();
+        let camera = capture.camera(ViewAt { split, view, frame: 0 }).ok();
         let seen =
             |p: &&[f32; 3]| camera.as_ref().is_some_and(|c| c.pixel_of(p.map(f64::from).into()).is_some());
         ViewSummary {
             split,
-            name: capture.views(split)[view].name.clone(),
+            name: capture.views(split)[view].clone(),
             frames: capture.frames_of(split),
             size: camera.as_ref().map(ffgs_core::Camera::size),
             images: 0,
             masks: 0,
+            missing_masks: Vec::new(),
             empty_masks: 0,
             coverage: 0.0,
             border_coverage: 0.0,
@@ -120,32 +123,27 @@ impl Checker<'_> {
     }
 
     /// Reads image and mask of a frame; a bad image does not hide a bad mask.
-    fn frame(
-        &self,
-        split: Split,
-        view: usize,
-        frame: usize,
-        summary: &mut ViewSummary,
-        faults: &mut Vec<Fault>,
-    ) -> Result<(), DatasetError> {
-        self.capture.camera(split, view, frame)?;
+    fn frame(&self, at: ViewAt, summary: &mut ViewSummary, faults: &mut Vec<Fault>) -> Result<(), Fault> {
+        self.capture.camera(at)?;
         let image = match self.images {
-            ImageCheck::Decode => self.capture.load_image(split, view, frame).map(|i| brightness(&i)),
-            ImageCheck::Probe => self.capture.probe_image(split, view, frame).map(|()| 0.0),
+            ImageCheck::Decode => self.capture.image(at).map(|i| brightness(&i)),
+            ImageCheck::Probe => self.capture.probe(at).map(|()| 0.0),
         };
         match image {
             Ok(brightness) => {
                 summary.images += 1;
                 summary.brightness += brightness;
             }
-            Err(error) => faults.push(error.in_capture(self.capture.root())),
+            Err(fault) => faults.push(fault),
         }
-        if let Some(mask) = self.capture.load_mask(split, view, frame)? {
-            summary.masks += 1;
-            summary.empty_masks += usize::from(mask.count() == 0);
-            summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
-            summary.border_coverage += border(&mask);
-        }
+        let Some(mask) = self.capture.mask(at)? else {
+            summary.missing_masks.push(at.frame);
+            return Ok(());
+        };
+        summary.masks += 1;
+        summary.empty_masks += usize::from(mask.count() == 0);
+        summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
+        summary.border_coverage += border(&mask);
         Ok(())
     }
 }
@@ -166,7 +164,7 @@ fn border(mask: &Mask) -> f64 {
     inside as f64 / (2 * (width + height)) as f64
 }
 
-fn check_splits(capture: &Capture, report: &mut CheckReport) {
+fn check_splits(capture: &dyn Capture, report: &mut CheckReport) {
     for split in Split::ALL {
         let views = capture.views(split).len();
         if views > 0 {
@@ -177,39 +175,34 @@ fn check_splits(capture: &Capture, report: &mut CheckReport) {
     if train < MIN_TRAIN_VIEWS {
         let problem =
             format!("{train} training view: motion is triangulated from at least {MIN_TRAIN_VIEWS}");
-        let file = capture.root().join(meta_file(Split::Train));
+        let file = capture.part(Part::Cameras(Split::Train));
         report.faults.push(Fault { file, problem, fix: "add calibrated cameras of the same scene".into() });
     }
     if capture.views(Split::Test).is_empty() {
-        let file = capture.root().join(meta_file(Split::Test));
+        let file = capture.part(Part::Cameras(Split::Test));
         report.notes.push(Note { file, text: "no test views: no quality is measured".into() });
     }
 }
 
-fn check_masks(capture: &Capture, report: &mut CheckReport) {
+fn check_masks(capture: &dyn Capture, report: &mut CheckReport) {
     let train = || report.views.iter().filter(|v| v.split == Split::Train);
     let masks: usize = train().map(|v| v.masks).sum();
     let empty: usize = train().map(|v| v.empty_masks).sum();
-    let file = capture.root().join("seg");
+    let file = capture.part(Part::Masks);
     if masks == empty && report.faults.is_empty() {
         let what = if masks == 0 { "no masks" } else { "every training mask is empty" };
         let text = format!("{what}: nothing is marked as moving, the scene is taken for static");
         report.notes.push(Note { file, text });
     }
-    if masks == 0 && !is_present(&capture.root().join("seg")) {
+    if masks == 0 && !is_present(&capture.part(Part::Masks)) {
         return;
     }
     for view in &report.views {
-        let file = capture.root().join("seg").join(&view.name);
+        let file = capture.part(Part::Masks).join(&view.name);
         // Unreadable masks have their own fault; here only those that are not there.
-        let missing = missing_masks(capture, view);
-        if let Some(first) = missing.first().and_then(|path| path.file_name()) {
-            let text = format!(
-                "{} of {} masks are missing, the first is {}",
-                missing.len(),
-                view.frames,
-                first.display()
-            );
+        if let Some(&first) = view.missing_masks.first() {
+            let (count, first) = (view.missing_masks.len(), mask_name(capture, view, first));
+            let text = format!("{count} of {} masks are missing, the first is {first}", view.frames);
             if view.split == Split::Train {
                 let fix = "add a PNG per image, 0 = background".into();
                 report.faults.push(Fault { file, problem: text, fix });
@@ -223,18 +216,19 @@ fn check_masks(capture: &Capture, report: &mut CheckReport) {
     }
 }
 
-fn missing_masks(capture: &Capture, summary: &ViewSummary) -> Vec<PathBuf> {
-    let views = capture.views(summary.split);
-    let Some(view) = views.iter().position(|v| v.name == summary.name) else { return Vec::new() };
-    let paths = (0..summary.frames).filter_map(|frame| capture.mask_path(summary.split, view, frame).ok());
-    paths.filter(|path| !is_present(path)).collect()
+/// Masks are named after their images.
+fn mask_name(capture: &dyn Capture, summary: &ViewSummary, frame: usize) -> String {
+    let view = capture.views(summary.split).iter().position(|name| *name == summary.name);
+    let image = view.and_then(|view| capture.image_file(ViewAt { split: summary.split, view, frame }));
+    let name = image.as_deref().and_then(|image| image.file_stem());
+    name.map_or_else(|| format!("of frame {frame}"), |name| format!("{}.png", name.display()))
 }
 
-fn note_blind_views(capture: &Capture, report: &mut CheckReport) {
+fn note_blind_views(capture: &dyn Capture, report: &mut CheckReport) {
     let blind = report.views.iter().filter(|v| v.points_seen == 0 && v.size.is_some() && report.points > 0);
     let text = "sees no initial point at frame 0 (is its pose world-to-camera, in metres, OpenCV axes?)";
     let note = |v: &ViewSummary| Note {
-        file: capture.root().join(meta_file(v.split)),
+        file: capture.part(Part::Cameras(v.split)),
         text: format!("camera '{}' {text}", v.name),
     };
     report.notes.extend(blind.map(note).collect::<Vec<_>>());

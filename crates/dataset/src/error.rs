@@ -1,7 +1,7 @@
 use ffgs_arrays::ArraysError;
 use ffgs_core::{CameraError, ImageSize};
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// A capture, or a file of it, cannot be used. Every message names the file; [`DatasetError::fix`] says what to do.
@@ -69,6 +69,10 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
+    pub(crate) fn io(file: &Path, source: io::Error) -> Self {
+        Self::Io { file: file.to_owned(), source }
+    }
+
     /// What the user can do about it.
     pub fn fix(&self) -> &'static str {
         match self {

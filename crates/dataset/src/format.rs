@@ -1,9 +1,9 @@
 //! The layout as a plug-in: what the contract asks of a capture.
 
-use crate::capture::meta_file;
-use crate::{Capture, DatasetError};
+use crate::capture::{Capture, POINTS_FILE, meta_file};
+use crate::error::DatasetError;
 use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
-use ffgs_method::{self as method, CaptureFormat, Fault, Plugin, Points, Split, ViewAt};
+use ffgs_method::{self as method, CaptureFormat, Fault, Part, Plugin, Points, Split, ViewAt};
 use std::path::{Path, PathBuf};
 
 /// Captures as Dynamic3DGaussians stores them.
@@ -53,6 +53,10 @@ impl method::Capture for Capture {
         self.load_image(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
     }
 
+    fn probe(&self, at: ViewAt) -> Result<(), Fault> {
+        self.probe_image(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+    }
+
     fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
         self.image_path(at.split, at.view, at.frame).ok()
     }
@@ -67,6 +71,15 @@ impl method::Capture for Capture {
         }
         self.initial_points().map(Some).map_err(|error| error.in_capture(self.root()))
     }
+
+    fn part(&self, part: Part) -> PathBuf {
+        match part {
+            Part::Cameras(split) => self.root().join(meta_file(split)),
+            Part::Images => self.root().join("ims"),
+            Part::Masks => self.root().join("seg"),
+            Part::Points => self.points_path(),
+        }
+    }
 }
 
 impl DatasetError {
@@ -78,7 +91,7 @@ impl DatasetError {
             | Self::Camera { file, .. }
             | Self::Image { file, .. }
             | Self::ImageSize { file, .. } => file.clone(),
-            Self::Points(_) => root.join(crate::capture::POINTS_FILE),
+            Self::Points(_) => root.join(POINTS_FILE),
             Self::NoSuchView { split, .. } => root.join(meta_file(*split)),
         };
         Fault::new(&file, self, self.fix())

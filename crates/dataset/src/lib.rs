@@ -20,9 +20,11 @@ mod points;
 mod report;
 mod suspicions;
 
-pub use capture::{Capture, View};
+pub use capture::Capture;
 pub use check::{ImageCheck, check, check_with_progress};
 pub use error::DatasetError;
 pub use ffgs_method::{Fault, Points, Split};
 pub use format::Dynamic3dGaussians;
+pub use meta::View;
+pub use pixels::{probe_image, read_image, read_mask};
 pub use report::{CheckReport, Note, SplitSummary, ViewSummary};

@@ -1,8 +1,9 @@
-use crate::{DatasetError, View};
+//! The camera lists.
+
+use crate::error::DatasetError;
 use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, is_present, read_text};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
-use std::io;
 use std::path::Path;
 
 /// A list of 500 cameras over 1000 frames takes a fifth of it.
@@ -41,6 +42,15 @@ struct MetaFile {
     cam_id: Vec<Vec<u32>>,
 }
 
+/// A physical camera of a capture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct View {
+    /// Folder of its images below `ims/`.
+    pub name: String,
+    /// `cam_id` of the meta file.
+    pub id: u32,
+}
+
 /// One split: its views and, per frame and view, camera and image.
 #[derive(Debug, Default)]
 pub(crate) struct Meta {
@@ -68,7 +78,7 @@ impl Entry {
 impl Meta {
     /// Reads the file; views are those of its first frame, matched in later frames by camera id and folder.
     pub fn read(file: &Path) -> Result<Self, DatasetError> {
-        let text = read_text(file, MAX_META_BYTES).map_err(|source| io_error(file, source))?;
+        let text = read_text(file, MAX_META_BYTES).map_err(|source| DatasetError::io(file, source))?;
         let meta = |reason: String| DatasetError::Meta { file: file.to_owned(), reason };
         let parsed: MetaFile = serde_json::from_str(&nan_to_null(&text)).map_err(|e| meta(e.to_string()))?;
         parsed.into_meta().map_err(meta)
@@ -193,8 +203,4 @@ fn nan_to_null(text: &str) -> String {
         }
     }
     out
-}
-
-pub(crate) fn io_error(file: &Path, source: io::Error) -> DatasetError {
-    DatasetError::Io { file: file.to_owned(), source }
 }

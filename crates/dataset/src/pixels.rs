@@ -1,25 +1,32 @@
-use crate::DatasetError;
-use crate::meta::io_error;
+//! Images and masks.
+
+use crate::error::DatasetError;
 use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input};
 use image::{DynamicImage, ImageReader, Limits};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Decoder memory a pixel: 16-bit RGBA, twice.
-const BYTES_A_PIXEL: u64 = 16;
+/// Decoder memory per pixel: 16-bit RGBA, twice.
+const BYTES_PER_PIXEL: u64 = 16;
 /// Decoder memory besides: row buffers, a colour profile.
 const BYTES_BESIDES: u64 = 16 << 20;
 
 /// An 8-bit image of exactly `size`; alpha is ignored, grey is spread over the channels.
-pub(crate) fn read_rgb(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetError> {
+///
+/// # Errors
+/// When the file is missing, damaged or of another size.
+pub fn read_image(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetError> {
     let data = decode(file, size)?.into_rgb8().into_raw();
     Ok(ImageRgb8::new(size, data).expect("decode checked the size"))
 }
 
 /// A mask of exactly `size`: foreground where any channel is not zero, or, of a cut-out, where the alpha channel is
 /// at least half.
-pub(crate) fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
+///
+/// # Errors
+/// When the file is missing, damaged or of another size.
+pub fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
     let data = match decode(file, size)? {
         DynamicImage::ImageLuma8(grey) => grey.into_raw(),
         // Scaled to 8 bit, 1 would round to 0.
@@ -35,7 +42,10 @@ const ENDS: [&[u8]; 2] = [b"\0\0\0\0IEND\xaeB`\x82", b"\xff\xd9"];
 
 /// Checks that an image of `size` begins and ends as it should, without decoding it; where the end tells nothing, it is
 /// decoded.
-pub(crate) fn probe(file: &Path, size: ImageSize) -> Result<(), DatasetError> {
+///
+/// # Errors
+/// When the file is missing, cut off or of another size.
+pub fn probe_image(file: &Path, size: ImageSize) -> Result<(), DatasetError> {
     let mut opened = open_sized(file, size)?;
     let ends = ENDS.iter().any(|end| ends_with(&mut opened, end).unwrap_or(false));
     if ends { Ok(()) } else { decode(file, size).map(|_| ()) }
@@ -50,14 +60,14 @@ fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> std::io::Result<bool> 
 
 /// Opens an image whose header says that it has the size of its camera; nothing larger is unpacked.
 fn open_sized(file: &Path, size: ImageSize) -> Result<BufReader<File>, DatasetError> {
-    let mut opened = BufReader::new(open_input(file).map_err(|source| io_error(file, source))?);
+    let mut opened = BufReader::new(open_input(file).map_err(|source| DatasetError::io(file, source))?);
     let (width, height) =
         reader(&mut opened, file, size)?.into_dimensions().map_err(|e| damaged(file, &e))?;
     let found = ImageSize { width: width as usize, height: height as usize };
     if found != size {
         return Err(DatasetError::ImageSize { file: file.to_owned(), expected: size, found });
     }
-    opened.rewind().map_err(|source| io_error(file, source))?;
+    opened.rewind().map_err(|source| DatasetError::io(file, source))?;
     Ok(opened)
 }
 
@@ -85,9 +95,9 @@ fn reader<'a>(
     size: ImageSize,
 ) -> Result<ImageReader<&'a mut BufReader<File>>, DatasetError> {
     let guessed = ImageReader::new(opened).with_guessed_format();
-    let mut reader = guessed.map_err(|source| io_error(file, source))?;
+    let mut reader = guessed.map_err(|source| DatasetError::io(file, source))?;
     let mut limits = Limits::default();
-    limits.max_alloc = Some(size.pixels() as u64 * BYTES_A_PIXEL + BYTES_BESIDES);
+    limits.max_alloc = Some(size.pixels() as u64 * BYTES_PER_PIXEL + BYTES_BESIDES);
     reader.limits(limits);
     Ok(reader)
 }

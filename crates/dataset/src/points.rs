@@ -1,4 +1,6 @@
-use crate::DatasetError;
+//! Initial points.
+
+use crate::error::DatasetError;
 use ffgs_arrays::NpzFile;
 use ffgs_method::Points;
 use std::path::Path;

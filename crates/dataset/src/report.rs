@@ -27,6 +27,8 @@ pub struct ViewSummary {
     pub images: usize,
     /// Masks that were read.
     pub masks: usize,
+    /// Frames whose image has no mask.
+    pub missing_masks: Vec<usize>,
     /// Masks without a foreground pixel.
     pub empty_masks: usize,
     /// Mean foreground fraction of the masks, 0..=1.

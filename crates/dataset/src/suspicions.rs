@@ -1,7 +1,8 @@
 //! Gross mistakes that a capture's cameras, points and masks give away.
 
-use crate::{Capture, Fault, Note, Points, Split, ViewSummary};
+use crate::report::{Note, ViewSummary};
 use ffgs_core::Camera;
+use ffgs_method::{Capture, Fault, Part, Points, Split, ViewAt};
 use glam::{DMat4, DVec3};
 
 /// Poses are taken for inverted when fewer than this part of the points is seen,
@@ -18,13 +19,13 @@ const EXPOSURE_RATIO: f64 = 1.4;
 const PLAUSIBLE_METRES: (f64, f64) = (0.1, 1000.0);
 
 /// What is found from the cameras of frame 0, the points and what was counted of every view.
-pub(crate) fn find(capture: &Capture, points: &Points, views: &[ViewSummary]) -> (Vec<Fault>, Vec<Note>) {
+pub(crate) fn find(capture: &dyn Capture, points: &Points, views: &[ViewSummary]) -> (Vec<Fault>, Vec<Note>) {
     let (mut faults, mut notes) = (Vec::new(), Vec::new());
     let train = cameras(capture, Split::Train);
     faults.extend(inverted_poses(capture, &train, points));
     faults.extend(inverted_masks(capture, views));
     for split in Split::ALL {
-        let file = capture.root().join(crate::capture::meta_file(split));
+        let file = capture.part(Part::Cameras(split));
         for (name, camera) in cameras(capture, split) {
             let (found, told) = principal_point(&name, &camera);
             let fix = "scale the intrinsics with the images: they belong to another size".to_owned();
@@ -38,9 +39,10 @@ pub(crate) fn find(capture: &Capture, points: &Points, views: &[ViewSummary]) ->
     (faults, notes)
 }
 
-fn cameras(capture: &Capture, split: Split) -> Vec<(String, Camera)> {
+fn cameras(capture: &dyn Capture, split: Split) -> Vec<(String, Camera)> {
     let views = capture.views(split).iter().enumerate();
-    views.filter_map(|(v, view)| Some((view.name.clone(), capture.camera(split, v, 0).ok()?))).collect()
+    let camera = |view| capture.camera(ViewAt { split, view, frame: 0 }).ok();
+    views.filter_map(|(v, name)| Some((name.clone(), camera(v)?))).collect()
 }
 
 /// Mean part of the points that the cameras see.
@@ -53,7 +55,7 @@ fn seen(cameras: &[Camera], points: &Points) -> f64 {
     cameras.iter().map(count).sum::<usize>() as f64 / all as f64
 }
 
-fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &Points) -> Option<Fault> {
+fn inverted_poses(capture: &dyn Capture, train: &[(String, Camera)], points: &Points) -> Option<Fault> {
     let as_given: Vec<Camera> = train.iter().map(|(_, c)| *c).collect();
     let turned = |change: &dyn Fn(DMat4) -> DMat4| -> Vec<Camera> {
         let camera = |c: &Camera| Camera::new(c.intrinsics(), change(c.camera_from_world()), c.size()).ok();
@@ -75,7 +77,7 @@ fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &Points
         .map(|(name, change)| (name, seen(&turned(change), points)))
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     (then > FAR_MORE_SEEN * now && then > FEW_SEEN).then(|| Fault {
-        file: capture.root().join(crate::capture::meta_file(Split::Train)),
+        file: capture.part(Part::Cameras(Split::Train)),
         problem: format!(
             "the cameras see {:.0} % of the points; if w2c were {name}, they would see {:.0} %",
             now * 100.0,
@@ -85,12 +87,12 @@ fn inverted_poses(capture: &Capture, train: &[(String, Camera)], points: &Points
     })
 }
 
-fn inverted_masks(capture: &Capture, views: &[ViewSummary]) -> Option<Fault> {
+fn inverted_masks(capture: &dyn Capture, views: &[ViewSummary]) -> Option<Fault> {
     let with_masks: Vec<_> = views.iter().filter(|v| v.split == Split::Train && v.masks > 0).collect();
     let inverted =
         with_masks.iter().filter(|v| v.coverage > INVERTED && v.border_coverage > INVERTED).count();
     (2 * inverted > with_masks.len()).then(|| Fault {
-        file: capture.root().join("seg"),
+        file: capture.part(Part::Masks),
         problem: format!(
             "{inverted} of {} cameras have masks that cover most of the image and of its border",
             with_masks.len()
@@ -119,7 +121,7 @@ fn principal_point(name: &str, camera: &Camera) -> (Option<String>, Option<Strin
 }
 
 /// Test cameras that are trained on measure nothing.
-fn shared_cameras(capture: &Capture, train: &[(String, Camera)]) -> Option<Note> {
+fn shared_cameras(capture: &dyn Capture, train: &[(String, Camera)]) -> Option<Note> {
     let same = |c: &Camera| {
         train.iter().any(|(_, t)| {
             t.center().distance(c.center()) < 1e-9 && t.rotation().abs_diff_eq(c.rotation(), 1e-9)
@@ -128,12 +130,12 @@ fn shared_cameras(capture: &Capture, train: &[(String, Camera)]) -> Option<Note>
     let names: Vec<String> =
         cameras(capture, Split::Test).into_iter().filter(|(_, c)| same(c)).map(|(name, _)| name).collect();
     (!names.is_empty()).then(|| Note {
-        file: capture.root().join(crate::capture::meta_file(Split::Test)),
+        file: capture.part(Part::Cameras(Split::Test)),
         text: format!("{} also trained on: their figures say nothing of new views", names.join(", ")),
     })
 }
 
-fn distances(capture: &Capture, train: &[(String, Camera)], points: &Points) -> Option<Note> {
+fn distances(capture: &dyn Capture, train: &[(String, Camera)], points: &Points) -> Option<Note> {
     let step = points.len().div_ceil(1000).max(1);
     let sample = || points.positions.iter().step_by(step);
     let mut all: Vec<f64> = train
@@ -144,19 +146,19 @@ fn distances(capture: &Capture, train: &[(String, Camera)], points: &Points) -> 
     let median = *all.get(all.len() / 2)?;
     let plausible = median > PLAUSIBLE_METRES.0 && median < PLAUSIBLE_METRES.1;
     (!plausible).then(|| Note {
-        file: capture.root().join(crate::capture::meta_file(Split::Train)),
+        file: capture.part(Part::Cameras(Split::Train)),
         text: format!(
             "half of the points are nearer to the cameras than {median:.3} m: are the lengths metres?"
         ),
     })
 }
 
-fn exposure(capture: &Capture, views: &[ViewSummary]) -> Option<Note> {
+fn exposure(capture: &dyn Capture, views: &[ViewSummary]) -> Option<Note> {
     let train = || views.iter().filter(|v| v.split == Split::Train && v.brightness > 0.0);
     let darkest = train().min_by(|a, b| a.brightness.total_cmp(&b.brightness))?;
     let brightest = train().max_by(|a, b| a.brightness.total_cmp(&b.brightness))?;
     (brightest.brightness > EXPOSURE_RATIO * darkest.brightness).then(|| Note {
-        file: capture.root().join("ims"),
+        file: capture.part(Part::Images),
         text: format!(
             "exposure differs: camera '{}' has a mean of {:.0}, '{}' of {:.0}",
             darkest.name, darkest.brightness, brightest.name, brightest.brightness

@@ -1,7 +1,7 @@
 //! How much the errors of two trackers have in common.
 
 use crate::evidence::{Evidence, Told};
-use crate::structure::Prior;
+use crate::prior::Prior;
 use glam::DVec3;
 use rayon::prelude::*;
 

@@ -11,7 +11,7 @@ use crate::motion_fit::{MotionFit, fit_motion, jackknife, place_covariance};
 use crate::process_noise::median;
 use crate::rigid::RigidMotion;
 use crate::symmetric::Symmetric;
-use crate::votes::Votes;
+use crate::votes::{Voter, Votes};
 use glam::{DQuat, DVec3};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
@@ -145,36 +145,6 @@ fn next_component(adjacent: &[Vec<usize>], open: &mut [bool]) -> Option<Vec<usiz
 
 fn boxes(places: &[DVec3], cells: &Cells) -> Vec<(DVec3, DVec3)> {
     cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| places[i]))).collect()
-}
-
-/// A cell's own motion.
-pub struct Voter {
-    /// Mean place at t-1 (m).
-    pub centre: DVec3,
-    /// Where its centre goes (m).
-    pub place: DVec3,
-    /// Inverse covariance of that (1/m^2).
-    pub information: Symmetric,
-    /// Its Gaussians.
-    pub weight: f64,
-    /// Per tracker: factor on its covariances within the cell.
-    pub scales: Vec<f64>,
-}
-
-impl Voter {
-    fn scale(&self) -> f64 {
-        self.scales.iter().sum::<f64>() / self.scales.len().max(1) as f64
-    }
-
-    fn inflate(&mut self, factor: f64) {
-        self.information = self.information * factor.recip();
-    }
-
-    /// Squared Mahalanobis distance of a motion from the cell's own.
-    pub fn distance(&self, motion: &RigidMotion) -> f64 {
-        let e = motion.apply(self.centre) - self.place;
-        self.information.quadratic(e)
-    }
 }
 
 struct Search<'a> {

@@ -1,4 +1,4 @@
-use crate::config::FusionError;
+use crate::error::FusionError;
 use crate::evidence::{MEDIAN_CHI2, MIN_SCALE};
 use crate::process_noise::median;
 use crate::rigid::{RigidMotion, fit_rigid};

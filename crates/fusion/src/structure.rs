@@ -1,39 +1,20 @@
 //! Where every Gaussian's surroundings say that it goes: the prior of the fusion, beyond the paper.
 
-use crate::config::{FusionConfig, FusionError, Structure};
+use crate::config::{FusionConfig, Structure};
 use crate::correlation::correlation;
+use crate::error::FusionError;
 use crate::evidence::{Combined, Evidence, Told};
 use crate::flexibility::Flexibility;
-use crate::fuse::FusionInput;
 use crate::groups::{Groups, discover};
+use crate::input::FusionInput;
 use crate::neighbourhoods::local_rigid_motion;
+use crate::prior::Prior;
 use crate::process_noise::median;
 use crate::symmetric::Symmetric;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
-
-/// Prior of one Gaussian.
-#[derive(Clone, Copy, Debug)]
-pub struct Prior {
-    /// Predicted place (m).
-    pub mean: DVec3,
-    /// Covariance of the predicted motion (m^2), without that of the place at t-1.
-    pub covariance: Symmetric,
-    /// Rotation of what it belongs to.
-    pub rotation: DQuat,
-    /// Row of [`Structured::scales`].
-    pub scales: usize,
-    /// Variance per axis by which parts of its group deviate from the group's motion (m^2).
-    spread: f64,
-    /// Errors that the prior and the Gaussian's own evidence share (m^2): carried, not fused.
-    pub shared: Symmetric,
-    /// Whether it follows its own neighbourhood rather than a group.
-    pub left: bool,
-    /// Whether its own evidence counts in full, however far it is from the prior.
-    pub free: bool,
-}
 
 /// Priors of all Gaussians and what the residuals say of the trackers.
 pub struct Structured {

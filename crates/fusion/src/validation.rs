@@ -1,4 +1,4 @@
-use crate::config::FusionError;
+use crate::error::FusionError;
 use crate::process_noise::median;
 use crate::view_counts::{ViewCounts, count_views};
 use ffgs_core::{Camera, Mask};

@@ -1,7 +1,7 @@
 //! In how many views, and in how many of their masks, points lie. Block by block of points and view by view, so that a
 //! mask stays in the cache; the points of a part side by side.
 
-use crate::config::FusionError;
+use crate::error::FusionError;
 use ffgs_core::{Camera, Intrinsics, Mask, instructions};
 use glam::DVec3;
 use pulp::{Simd, WithSimd};

@@ -1,7 +1,7 @@
 //! How much of some cells a motion explains, eight cells side by side.
 
-use crate::groups::Voter;
 use crate::rigid::RigidMotion;
+use crate::symmetric::Symmetric;
 use ffgs_core::instructions;
 use glam::{DMat3, DVec3};
 use pulp::{Simd, WithSimd};
@@ -10,6 +10,36 @@ const LANES: usize = 8;
 /// Centre, centre at t, information about it, weight.
 const COLUMNS: usize = 13;
 type Block = [[f64; LANES]; COLUMNS];
+
+/// A cell's own motion.
+pub struct Voter {
+    /// Mean place at t-1 (m).
+    pub centre: DVec3,
+    /// Where its centre goes (m).
+    pub place: DVec3,
+    /// Inverse covariance of that (1/m^2).
+    pub information: Symmetric,
+    /// Its Gaussians.
+    pub weight: f64,
+    /// Per tracker: factor on its covariances within the cell.
+    pub scales: Vec<f64>,
+}
+
+impl Voter {
+    pub fn scale(&self) -> f64 {
+        self.scales.iter().sum::<f64>() / self.scales.len().max(1) as f64
+    }
+
+    pub fn inflate(&mut self, factor: f64) {
+        self.information = self.information * factor.recip();
+    }
+
+    /// Squared Mahalanobis distance of a motion from the cell's own.
+    pub fn distance(&self, motion: &RigidMotion) -> f64 {
+        let e = motion.apply(self.centre) - self.place;
+        self.information.quadratic(e)
+    }
+}
 
 /// Cells with their own motions; places are relative to an origin, which keeps coordinates of any size exact.
 pub struct Votes {

@@ -8,7 +8,7 @@ use clap::Args;
 use ffgs_fusion::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use ffgs_motion_eval::{Row, summarise, table};
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::render::progress;
+use ffgs_pipeline::terminal::progress;
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{Method, SourceFilter};
 use std::path::PathBuf;

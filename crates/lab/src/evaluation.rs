@@ -7,11 +7,12 @@ use ffgs_core::{DenseMotion, Dynamic, Gaussians, Seconds, StageLog, TrainingView
 use ffgs_method::{Capture, Split, Step, TrackSource};
 use ffgs_motion::{MotionInput, move_by, observe, turned};
 use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
-use ffgs_pipeline::cli::{FrameRange, LogArgs};
+use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::config::Config;
+use ffgs_pipeline::folder::RunFolder;
 use ffgs_pipeline::frame::{load_training, select_views};
-use ffgs_pipeline::record::RunFolder;
 use ffgs_pipeline::registry::open_capture;
+use ffgs_pipeline::request::FrameRange;
 use ffgs_pipeline::state;
 use ffgs_trainer::from_points;
 use glam::{DAffine3, DMat3, DVec3};

@@ -6,7 +6,7 @@ use clap::Args;
 use ffgs_core::Estimates;
 use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
 use ffgs_motion_eval::{Row, Sample, summarise, table};
-use ffgs_pipeline::cli::LogArgs;
+use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::config::Config;
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::{Triangulator, WeightedRays};

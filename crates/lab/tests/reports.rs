@@ -2,12 +2,14 @@
 
 use ffgs_lab::evaluation::SourceArgs;
 use ffgs_lab::motion_eval::{self, MotionEvalArgs};
+use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::choice::MethodChoice;
-use ffgs_pipeline::cli::{FrameRange, LogArgs};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::record::{RunFolder, read_json};
-use ffgs_pipeline::run::{RunRequest, run};
+use ffgs_pipeline::folder::RunFolder;
+use ffgs_pipeline::json::read_json;
+use ffgs_pipeline::request::{FrameRange, RunRequest};
+use ffgs_pipeline::run::run;
 use ffgs_trainer::StaticMethod;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -42,6 +42,14 @@ pub trait Capture: fmt::Debug + Send + Sync {
     /// When it is missing, damaged or of another size.
     fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault>;
 
+    /// Checks that the image is there and whole, decoding no more than that takes.
+    ///
+    /// # Errors
+    /// As [`Capture::image`]; damage inside the file may be found only by that.
+    fn probe(&self, at: ViewAt) -> Result<(), Fault> {
+        self.image(at).map(|_| ())
+    }
+
     /// File that holds the image as it is, for programs that show it; `None` where there is none, e.g. in a video.
     fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
         let _ = at;
@@ -60,6 +68,12 @@ pub trait Capture: fmt::Debug + Send + Sync {
     /// When there are some that cannot be read.
     fn points(&self) -> Result<Option<Points>, Fault>;
 
+    /// The file or folder that holds a part of the capture, for messages; it need not exist.
+    fn part(&self, part: Part) -> PathBuf {
+        let _ = part;
+        self.root().to_owned()
+    }
+
     /// Number of frames of a split: 0 without views, at most 1 of [`Split::Init`].
     fn frames_of(&self, split: Split) -> usize {
         match split {
@@ -68,6 +82,19 @@ pub trait Capture: fmt::Debug + Send + Sync {
             Split::Train | Split::Test => self.frames(),
         }
     }
+}
+
+/// Of what a capture consists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The cameras of a split.
+    Cameras(Split),
+    /// The images.
+    Images,
+    /// The foreground masks.
+    Masks,
+    /// The initial points.
+    Points,
 }
 
 /// Which part of a capture a view belongs to.

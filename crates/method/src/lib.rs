@@ -20,9 +20,9 @@ mod registry;
 mod splats;
 mod tracks;
 
-pub use capture::{Capture, CaptureFormat, Points, Split, ViewAt};
+pub use capture::{Capture, CaptureFormat, Part, Points, Split, ViewAt};
 pub use fault::Fault;
 pub use motion::{Finetuning, MotionMethod, Step};
 pub use registry::{Plugin, Registry, Unknown};
-pub use splats::{RenderMode, SplatWriter};
+pub use splats::{Followed, RenderMode, SplatWriter, Splats};
 pub use tracks::{PixelCenter, TrackFormat, TrackSource, Tracked, ViewStep};

@@ -2,6 +2,8 @@
 
 use crate::{Capture, Fault, Plugin, Split, ViewAt};
 use ffgs_core::{ImageSize, ViewMotion};
+use serde::Deserialize;
+use std::fmt;
 use std::path::Path;
 
 /// A file format of a tracker's output.
@@ -16,8 +18,15 @@ pub trait TrackFormat: Plugin {
     fn read(&self, file: &Path, size: ImageSize, center: PixelCenter) -> Result<Tracked, Fault>;
 }
 
+impl fmt::Debug for dyn TrackFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 /// Where a tracker's coordinates put the centre of the first pixel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PixelCenter {
     /// At (0, 0), as most trackers do.
     #[default]

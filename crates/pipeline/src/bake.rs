@@ -1,7 +1,7 @@
 //! Frames of a run fitted to plain viewers: the static layer once, the dynamic one in each frame.
 
+use crate::finished_run::FinishedRun;
 use crate::frame::{load_training, load_view, select_views};
-use crate::render::FinishedRun;
 use anyhow::Result;
 use ffgs_bake::{FinetuneConfig, conserve_weight, finetune};
 use ffgs_core::{Camera, Gaussians, Scene, TrainingView};

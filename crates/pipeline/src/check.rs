@@ -1,14 +1,15 @@
 //! What a capture holds and what is wrong with it: images, masks and points (`dataset`), and the trackers' files
 //! (`tracks`). `ffgs check` prints it, and a run starts with it.
 
+use crate::registry::open_capture;
 use anyhow::Result;
 use ffgs_core::ImageSize;
-use ffgs_dataset::{Capture, CheckReport, ImageCheck, Note, check_with_progress};
-use ffgs_method::{Fault, Split};
-use ffgs_tracks::{TrackStore, TracksFault, TracksReport};
+use ffgs_dataset::{CheckReport, ImageCheck, Note, check_with_progress};
+use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_tracks::{TrackStore, TracksReport};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Inventory and faults of a capture with its trackers; prints as a table.
 #[derive(Clone, Debug, Default)]
@@ -42,14 +43,14 @@ impl fmt::Display for CaptureCheck {
 /// # Errors
 /// When the capture cannot be opened at all; the message names file and fix.
 pub fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Result<CaptureCheck> {
-    let capture = Capture::open(root).map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?;
+    let capture = open_capture(root)?;
     let bar = progress_bar(quiet);
-    let mut content = check_with_progress(&capture, images, &|done, total| {
+    let mut content = check_with_progress(&*capture, images, &|done, total| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     });
     bar.set_message("tracks");
-    let tracks = check_tracks(&capture, &mut content);
+    let tracks = check_tracks(&*capture, &mut content);
     bar.finish_and_clear();
     Ok(CaptureCheck { content, tracks })
 }
@@ -64,7 +65,7 @@ fn progress_bar(quiet: bool) -> ProgressBar {
         .with_message("images")
 }
 
-fn check_tracks(capture: &Capture, content: &mut CheckReport) -> TracksReport {
+fn check_tracks(capture: &dyn Capture, content: &mut CheckReport) -> TracksReport {
     let folder = capture.root().join("tracks");
     let tracks = match TrackStore::of(capture) {
         Ok(Some(store)) => ffgs_tracks::check(&store, &training_cameras(capture), capture.frames()),
@@ -73,31 +74,15 @@ fn check_tracks(capture: &Capture, content: &mut CheckReport) -> TracksReport {
             content.notes.push(Note { file: folder, text });
             return TracksReport::default();
         }
-        Err(error) => {
-            let fault = TracksFault { problem: error.to_string(), fix: error.fix().to_owned() };
-            TracksReport { faults: vec![fault], ..TracksReport::default() }
-        }
+        Err(fault) => TracksReport { faults: vec![fault], ..TracksReport::default() },
     };
-    content.faults.extend(tracks.faults.iter().map(|fault| with_file(fault, &folder)));
+    content.faults.extend(tracks.faults.iter().cloned());
     tracks
 }
 
 /// Folder name and image size of the training views whose cameras are good; the others have a fault already.
-fn training_cameras(capture: &Capture) -> Vec<(String, ImageSize)> {
+fn training_cameras(capture: &dyn Capture) -> Vec<(String, ImageSize)> {
     let views = capture.views(Split::Train).iter().enumerate();
-    let size = |view: usize| capture.camera(Split::Train, view, 0).ok().map(|c| c.size());
-    views.filter_map(|(v, view)| Some((view.name.clone(), size(v)?))).collect()
-}
-
-/// A tracks fault starts with its file where it has one.
-fn with_file(TracksFault { problem, fix }: &TracksFault, folder: &Path) -> Fault {
-    let end = problem.find([':', ',']).unwrap_or(0);
-    let (file, rest) = problem.split_at(end);
-    let named = !file.is_empty() && Path::new(file).starts_with(folder);
-    let (file, problem) = if named {
-        (PathBuf::from(file), rest.trim_start_matches([':', ',', ' ']).to_owned())
-    } else {
-        (folder.to_owned(), problem.clone())
-    };
-    Fault { file, problem, fix: fix.clone() }
+    let camera = |view| capture.camera(ViewAt { split: Split::Train, view, frame: 0 }).ok();
+    views.filter_map(|(v, name)| Some((name.clone(), camera(v)?.size()))).collect()
 }

@@ -1,17 +1,22 @@
 //! `ffgs eval`: measures a finished run again.
 
-use crate::cli::EvalArgs;
+use crate::args::EvalArgs;
+use crate::finished_run::FinishedRun;
+use crate::json::{read_json, write_json};
 use crate::lanes::Lanes;
 use crate::lock::FolderLock;
-use crate::record::{FrameRecord, Metrics, ViewMetrics, publish, read_json, write_json};
-use crate::render::{FinishedRun, progress};
+use crate::publish::publish;
+use crate::record::{FrameRecord, Metrics, ViewMetrics};
 use crate::scoring::{load_tests, score};
-use crate::terminal;
+use crate::terminal::{self, progress};
 use anyhow::{Result, bail};
 use ffgs_method::Split;
 use ffgs_report::FramePictures;
 
 /// Renders and measures the test views of every finished frame, and writes metrics and report again.
+///
+/// # Errors
+/// When the run or its capture cannot be read, or a result cannot be written.
 pub fn eval(args: &EvalArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let (capture, folder) = (&*run.capture, &run.folder);

@@ -1,6 +1,8 @@
 //! The composition root: it wires the stages into `ffgs run` and offers each of them alone.
 
+pub mod args;
 mod bake;
+mod cameras;
 pub mod check;
 pub mod choice;
 pub mod cli;
@@ -11,9 +13,11 @@ mod console;
 pub mod device;
 pub mod eval;
 pub mod export;
-mod export_stream;
+pub mod finished_run;
+pub mod folder;
 pub mod frame;
 mod interrupt;
+pub mod json;
 mod knowledge;
 mod lanes;
 pub mod lock;
@@ -25,10 +29,11 @@ mod methods;
 mod page;
 pub mod prepare;
 mod provenance;
+pub mod publish;
 pub mod record;
 pub mod registry;
 pub mod render;
-mod request;
+pub mod request;
 pub mod run;
 pub mod scoring;
 pub mod stage;

@@ -3,9 +3,10 @@
 use crate::choice::MethodChoice;
 use crate::config::Config;
 use crate::config_ranges::leaves;
-use crate::provenance::capture_digest;
-use crate::record::{RunFolder, read_json, write_json};
-use crate::run::RunRequest;
+use crate::folder::RunFolder;
+use crate::json::{read_json, write_json};
+use crate::provenance::{VERSION, capture_digest};
+use crate::request::RunRequest;
 use anyhow::{Context, Result, ensure};
 use ffgs_method::Capture;
 use ffgs_report::Fact;
@@ -64,7 +65,7 @@ impl Manifest {
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
             device,
-            version: crate::cli::VERSION.into(),
+            version: VERSION.into(),
             capture_digest: capture_digest(capture)?,
             machine: format!(
                 "{} {}, {} threads",
@@ -169,4 +170,79 @@ fn different_settings(there: &Manifest, here: &Manifest) -> Vec<String> {
 
 fn has_frames(folder: &Path) -> bool {
     std::fs::read_dir(folder.join("frames")).is_ok_and(|mut entries| entries.next().is_some())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn manifest() -> Manifest {
+        Manifest {
+            capture: "mini".into(),
+            capture_path: "/captures/mini".into(),
+            frames: 0..4,
+            method: MethodChoice::default(),
+            train_views: None,
+            first_frame: None,
+            device: "CPU".into(),
+            version: VERSION.into(),
+            capture_digest: "0123abcd".into(),
+            machine: "a machine".into(),
+            config: Config::default(),
+        }
+    }
+
+    fn differing(change: impl FnOnce(&mut Manifest)) -> Vec<String> {
+        let mut there = manifest();
+        change(&mut there);
+        manifest().differences(&there)
+    }
+
+    #[test]
+    fn what_decides_the_result_keeps_a_run_from_going_on() {
+        assert_eq!(differing(|there| there.config.seed = 9), ["seed is 9 there and 1 here"]);
+        let method = differing(|there| there.method = "none".parse().unwrap());
+        assert_eq!(method, ["method is \"none\" there and \"trackers\" here"]);
+        assert_eq!(differing(|there| there.capture_digest = "ffff0000".into()).len(), 1);
+        assert_eq!(differing(|there| there.frames.start = 1), ["frames.start is 1 there and 0 here"]);
+    }
+
+    #[test]
+    fn what_decides_nothing_may_differ() {
+        assert!(differing(|there| there.machine = "another".into()).is_empty());
+        assert!(differing(|there| there.frames.end = 2).is_empty());
+        assert!(differing(|there| there.capture_path = "/moved/mini".into()).is_empty());
+        assert!(differing(|there| there.capture_digest = String::new()).is_empty(), "runs before the digest");
+    }
+
+    #[test]
+    fn a_folder_is_claimed_once_and_by_its_own_run() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = RunFolder(root.path().to_owned());
+        manifest().claim(&folder, false).unwrap();
+        assert_eq!(read_json::<Manifest>(&folder.manifest()).unwrap(), manifest());
+        std::fs::create_dir_all(folder.frame(0)).unwrap();
+        let refused = manifest().claim(&folder, false).unwrap_err().to_string();
+        assert!(refused.contains("add --resume"), "{refused}");
+        manifest().claim(&folder, true).unwrap();
+        let mut other = manifest();
+        other.config.seed = 2;
+        let refused = other.claim(&folder, true).unwrap_err().to_string();
+        assert!(refused.contains("holds another run: seed is 1 there and 2 here"), "{refused}");
+        std::fs::remove_file(folder.manifest()).unwrap();
+        let refused = manifest().claim(&folder, true).unwrap_err().to_string();
+        assert!(refused.contains("no run.json"), "{refused}");
+    }
+
+    #[test]
+    fn a_first_frame_is_of_the_same_capture() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = RunFolder(root.path().to_owned());
+        write_json(&folder.manifest(), &manifest()).unwrap();
+        let mut here = manifest();
+        (here.config.seed, here.capture_path) = (5, "/moved".into());
+        here.check_first_frame(&folder).unwrap();
+        here.capture_digest = "ffff0000".into();
+        assert!(here.check_first_frame(&folder).unwrap_err().to_string().contains("another capture"));
+    }
 }

@@ -1,6 +1,6 @@
 //! `ffgs prepare`: footage to a capture.
 
-use crate::cli::LogArgs;
+use crate::args::LogArgs;
 use crate::terminal;
 use anyhow::Result;
 use clap::Args;

@@ -9,6 +9,9 @@ use rayon::prelude::*;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+/// Version and commit.
+pub const VERSION: &str = env!("FFGS_VERSION");
+
 /// Bytes read at a time.
 const BLOCK: usize = 1 << 16;
 

@@ -3,17 +3,43 @@
 use crate::method::Method;
 use crate::methods;
 use anyhow::Result;
+use ffgs_calibration::formats::{COLMAP, EASYVOLCAP, N3DV, PANOPTIC, TOML, TRANSFORMS};
 use ffgs_dataset::Dynamic3dGaussians;
-use ffgs_method::{Capture, CaptureFormat, Fault, Registry};
+use ffgs_method::{Capture, CaptureFormat, Fault, Registry, SplatWriter};
+use ffgs_prepare::InPlace;
 use std::path::Path;
 
 /// Layouts of captures, in the order in which they are tried.
-pub const CAPTURES: Registry<dyn CaptureFormat> =
-    Registry { kind: "capture format", items: &[&Dynamic3dGaussians] };
+pub const CAPTURES: Registry<dyn CaptureFormat> = Registry {
+    kind: "capture format",
+    items: &[
+        &Dynamic3dGaussians,
+        &InPlace(&PANOPTIC),
+        &InPlace(&N3DV),
+        &InPlace(&TRANSFORMS),
+        &InPlace(&EASYVOLCAP),
+        &InPlace(&TOML),
+        &InPlace(&COLMAP),
+    ],
+};
 
 /// How the scene moves from frame to frame; the first is the default.
 pub const METHODS: Registry<Method> =
     Registry { kind: "method", items: &[&methods::TRACKERS, &methods::TRACKER, &methods::NONE] };
+
+/// The splat format in which a run writes its frames: the first.
+pub(crate) fn run_format() -> &'static dyn SplatWriter {
+    ffgs_splats::FORMATS.items[0]
+}
+
+/// What `ffgs formats` prints.
+pub(crate) fn formats() -> String {
+    let [captures, tracks, splats] =
+        [CAPTURES.table(), ffgs_tracks::FORMATS.table(), ffgs_splats::FORMATS.table()];
+    format!(
+        "captures (run):\n{captures}tracks (tracks/tracks.json):\n{tracks}splats (export --to):\n{splats}"
+    )
+}
 
 /// Opens the capture in `folder`, whatever its format.
 ///
@@ -39,6 +65,8 @@ mod tests {
         for names in [
             METHODS.items.iter().map(|m| m.name()).collect::<Vec<_>>(),
             CAPTURES.items.iter().map(|c| c.name()).collect(),
+            ffgs_tracks::FORMATS.items.iter().map(|f| f.name()).collect(),
+            ffgs_splats::FORMATS.items.iter().map(|f| f.name()).collect(),
         ] {
             assert_eq!(names.iter().collect::<BTreeSet<_>>().len(), names.len(), "{names:?}");
             let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';

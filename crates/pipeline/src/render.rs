@@ -1,18 +1,14 @@
 //! `ffgs render`: pictures of a finished run.
 
-use crate::cli::RenderArgs;
+use crate::args::RenderArgs;
+use crate::finished_run::FinishedRun;
 use crate::lanes::Lanes;
-use crate::manifest::Manifest;
-use crate::record::{FrameRecord, RunFolder, read_json};
-use crate::registry::open_capture;
 use crate::scoring::{render as render_scene, write_png};
-use crate::state;
-use crate::terminal;
+use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, ImageRgb8, Scene};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -26,84 +22,10 @@ const ORBIT_MARGIN: f64 = 2.5;
 /// Least elevation of an orbit, as a share of its radius.
 const ORBIT_ELEVATION: f64 = 0.3;
 
-/// A run with at least one finished frame, and its capture.
-pub struct FinishedRun {
-    /// Output folder.
-    pub folder: RunFolder,
-    /// What was run.
-    pub manifest: Manifest,
-    /// What it was run on.
-    pub capture: Box<dyn Capture>,
-    /// Finished frames, ascending.
-    pub frames: Vec<usize>,
-}
-
-impl FinishedRun {
-    /// Opens the run in `path`.
-    pub fn open(path: &Path) -> Result<Self> {
-        let folder = RunFolder(path.to_owned());
-        if !folder.manifest().exists() {
-            bail!("{} is no output folder of ffgs run: it has no run.json", path.display());
-        }
-        let manifest: Manifest = read_json(&folder.manifest())?;
-        let frames = finished_frames(&folder);
-        if frames.is_empty() {
-            bail!("{} has no finished frame; finish one with ffgs run --resume", path.display());
-        }
-        let at = &manifest.capture_path;
-        if !at.is_dir() {
-            bail!(
-                "the capture of this run is not at {} any more; move it back, or set capture_path in {}",
-                at.display(),
-                folder.manifest().display()
-            );
-        }
-        let capture = open_capture(at)?;
-        Ok(Self { folder, manifest, capture, frames })
-    }
-
-    /// The numbers of every finished frame.
-    pub fn records(&self) -> Result<Vec<FrameRecord>> {
-        self.frames.iter().map(|&frame| self.record(frame)).collect()
-    }
-
-    /// The numbers of a finished frame.
-    pub fn record(&self, frame: usize) -> Result<FrameRecord> {
-        self.folder.read_record(frame, &*self.capture)
-    }
-
-    /// Reads the scene of a frame.
-    pub fn scene(&self, frame: usize) -> Result<Scene> {
-        state::load(&self.folder.state(frame), frame)
-    }
-
-    /// The frame asked for, or the last one.
-    fn choose(&self, frame: Option<usize>) -> Result<usize> {
-        match frame.or_else(|| self.frames.last().copied()) {
-            Some(frame) if self.frames.contains(&frame) => Ok(frame),
-            _ => bail!("--frame: not finished; this run has the frames {:?}", self.frames),
-        }
-    }
-}
-
-fn finished_frames(folder: &RunFolder) -> Vec<usize> {
-    let entries = std::fs::read_dir(folder.0.join("frames")).into_iter().flatten().flatten();
-    let numbers = entries.filter_map(|e| e.file_name().to_str()?.parse().ok());
-    let mut frames: Vec<usize> = numbers.filter(|&f| folder.state(f).exists()).collect();
-    frames.sort_unstable();
-    frames
-}
-
-/// A bar on the error stream, hidden when `quiet` or when it is no terminal.
-pub fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let bar = ProgressBar::with_draw_target(Some(count as u64), target).with_prefix(what);
-    let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar
-}
-
 /// Renders a camera or an orbit of one frame into PNGs, an orbit into an mp4 as well.
+///
+/// # Errors
+/// When the run or its capture cannot be read, or a picture cannot be written.
 pub fn render(args: &RenderArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frame = run.choose(args.frame)?;
@@ -279,12 +201,5 @@ mod tests {
         let (middle, extent) = one_object(&points);
         assert!(middle.length() < 0.3 && extent < 1.5, "{middle} {extent}");
         assert_eq!(one_object(&points[..1]), (points[0], 0.0));
-    }
-
-    #[test]
-    fn a_folder_without_a_run_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = FinishedRun::open(folder.path()).err().unwrap().to_string();
-        assert!(error.contains("run.json"), "{error}");
     }
 }

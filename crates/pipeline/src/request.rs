@@ -1,32 +1,73 @@
-//! From the command line to a request.
+//! What a run is asked to do.
 
-use crate::cli::RunArgs;
+use crate::choice::MethodChoice;
 use crate::config::Config;
-use crate::run::RunRequest;
-use anyhow::Result;
-use ffgs_trainer::StaticMethod;
+use crate::device::Device;
+use std::path::PathBuf;
+use std::str::FromStr;
 
-/// Merges the configuration file (or the defaults) with the options, which win.
-pub fn from_args(args: &RunArgs) -> Result<RunRequest> {
-    let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-    config.seed = args.seed.unwrap_or(config.seed);
-    config.first_frame.iterations = args.first_iterations.unwrap_or(config.first_frame.iterations);
-    config.dynamic.iterations = args.iterations.unwrap_or(config.dynamic.iterations);
-    if let Some(steps) = args.static_iterations {
-        config.background.static_method = StaticMethod::Steps;
-        config.background.static_iterations = steps;
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct RunRequest {
+    /// Capture folder.
+    pub capture: PathBuf,
+    /// Output folder.
+    pub out: PathBuf,
+    /// Go on after the last finished frame.
+    pub resume: bool,
+    /// How the scene moves from frame to frame.
+    pub method: MethodChoice,
+    /// Frames; `None` = all. The first is trained from the initial points.
+    pub frames: Option<FrameRange>,
+    /// Training cameras; `None` = all.
+    pub train_views: Option<Vec<String>>,
+    /// Take frame 0 from this run instead of training it.
+    pub first_frame: Option<PathBuf>,
+    /// Where to compute.
+    pub device: Device,
+    /// No progress bars.
+    pub quiet: bool,
+    /// Everything else.
+    pub config: Config,
+}
+
+/// Frames from `start` up to but not including `end`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameRange {
+    /// First frame.
+    pub start: usize,
+    /// Frame behind the last; `None` = to the end.
+    pub end: Option<usize>,
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is not A..B, e.g. 0..4 for the frames 0 to 3");
+        let (start, end) = text.split_once("..").ok_or_else(wrong)?;
+        let number = |part: &str| match part {
+            "" => Ok(None),
+            digits => digits.parse().map(Some).map_err(|_| wrong()),
+        };
+        let range = Self { start: number(start)?.unwrap_or(0), end: number(end)? };
+        match range.end {
+            Some(end) if end <= range.start => Err(format!("'{text}' holds no frame")),
+            _ => Ok(range),
+        }
     }
-    config.validate()?;
-    Ok(RunRequest {
-        capture: args.capture.clone(),
-        out: args.out.clone(),
-        resume: args.resume,
-        method: args.method.clone().unwrap_or_default(),
-        frames: args.frames,
-        train_views: args.train_views.clone(),
-        first_frame: args.first_frame.clone(),
-        device: args.device.clone(),
-        quiet: args.log.quiet,
-        config,
-    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_that_mean_nothing_are_refused() {
+        assert_eq!("..3".parse(), Ok(FrameRange { start: 0, end: Some(3) }));
+        assert_eq!("3..".parse(), Ok(FrameRange { start: 3, end: None }));
+        for wrong in ["3", "3..3", "4..2", "a..b", "-1..2"] {
+            assert!(wrong.parse::<FrameRange>().is_err(), "{wrong}");
+        }
+    }
 }

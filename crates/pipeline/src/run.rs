@@ -1,20 +1,22 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
 use crate::check::check_capture;
-use crate::choice::MethodChoice;
-use crate::cli::FrameRange;
 use crate::config::Config;
 use crate::console::Console;
-use crate::device::{self, Device};
+use crate::device;
+use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
+use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lanes::{Lanes, Photographed};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
 use crate::provenance::frame_digest;
-use crate::record::{FrameRecord, Metrics, RunFolder, publish, read_json, write_json};
-use crate::registry::open_capture;
+use crate::publish::publish;
+use crate::record::{FrameRecord, Metrics};
+use crate::registry::{self, open_capture};
+use crate::request::RunRequest;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::state;
 use anyhow::{Context, Result, bail};
@@ -25,41 +27,16 @@ use ffgs_core::{
 use ffgs_dataset::ImageCheck;
 use ffgs_fusion::{Silhouettes, initial_covariance};
 use ffgs_gpu::Gpu;
-use ffgs_method::{Capture, Finetuning, MotionMethod, Split, Step, TrackSource, ViewAt};
+use ffgs_method::{
+    Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Split, Step, TrackSource, ViewAt,
+};
 use ffgs_motion::pixel_sizes;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_splats::RenderMode::Mip;
-use ffgs_splats::Tracked;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, Prior, StaticLane, Surroundings, from_points, shows_sky};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
-
-/// What to run.
-#[derive(Clone, Debug)]
-pub struct RunRequest {
-    /// Capture folder.
-    pub capture: PathBuf,
-    /// Output folder.
-    pub out: PathBuf,
-    /// Go on after the last finished frame.
-    pub resume: bool,
-    /// How the scene moves from frame to frame.
-    pub method: MethodChoice,
-    /// Frames; `None` = all. The first is trained from the initial points.
-    pub frames: Option<FrameRange>,
-    /// Training cameras; `None` = all.
-    pub train_views: Option<Vec<String>>,
-    /// Take frame 0 from this run instead of training it.
-    pub first_frame: Option<PathBuf>,
-    /// Where to compute.
-    pub device: Device,
-    /// No progress bars.
-    pub quiet: bool,
-    /// Everything else.
-    pub config: Config,
-}
 
 /// Runs the job and returns the path of the report.
 pub fn run(request: &RunRequest) -> Result<PathBuf> {
@@ -152,7 +129,7 @@ impl<'a> Job<'a> {
 
     /// The numbers of a finished frame, whose inputs must still be those that it was made from.
     fn finished_record(&self, frame: usize) -> Result<FrameRecord> {
-        let record = self.folder.read_record(frame, &*self.capture)?;
+        let record = FrameRecord::read(&self.folder, frame, &*self.capture)?;
         if let Some(inputs) = &record.inputs
             && *inputs != self.inputs(frame)?
         {
@@ -445,10 +422,13 @@ impl<'a> Job<'a> {
         mut record: FrameRecord,
     ) -> Result<FrameRecord> {
         let folder = self.folder.frame(frame);
-        let (static_ply, dynamic_ply) = (folder.join("static.ply"), folder.join("dynamic.ply"));
-        ffgs_splats::write_ply(&static_ply, &scene.static_layer, None, Mip)?;
+        let format = registry::run_format();
+        let file = |layer: &str| folder.join(format!("{layer}{}", format.extension()));
+        let (static_file, dynamic_file) = (file("static"), file("dynamic"));
+        format.write(&static_file, &Splats::from(&scene.static_layer), RenderMode::Mip)?;
         let Dynamic { gaussians, covariances, ids, .. } = &scene.dynamic;
-        ffgs_splats::write_ply(&dynamic_ply, gaussians, Some(Tracked { covariances, ids }), Mip)?;
+        let dynamic = Splats { gaussians, followed: Some(Followed { covariances, ids }) };
+        format.write(&dynamic_file, &dynamic, RenderMode::Mip)?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
         (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.lanes())?;
@@ -460,8 +440,8 @@ impl<'a> Job<'a> {
         record.peak_memory_mib = crate::memory::peak_mib();
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
         record.bytes = stored.iter().map(size).sum::<u64>()
-            + size(&static_ply)
-            + size(&dynamic_ply)
+            + size(&static_file)
+            + size(&dynamic_file)
             + size(&folder.join("sky.png"));
         write_json(&self.folder.record(frame), &record)?;
         let saved = method.save();
@@ -534,7 +514,10 @@ fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::choice::MethodChoice;
     use crate::config::Config;
+    use crate::device::Device;
+    use crate::request::FrameRange;
     use std::path::Path;
 
     /// A short run of the sample on GPUs, every lane on them.

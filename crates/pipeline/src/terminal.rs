@@ -2,6 +2,7 @@
 //! closed or full loses its text, which the exit status tells in the end, and finished work stays.
 
 use anyhow::Result;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::process::ExitCode;
@@ -55,6 +56,15 @@ fn harmless(text: &str) -> String {
     let commands = |c: char| c.is_control() && c != '\n' && c != '\t';
     let shown = |c: char| if commands(c) { c.escape_unicode().collect() } else { String::from(c) };
     if text.contains(commands) { text.chars().map(shown).collect() } else { text.to_owned() }
+}
+
+/// A bar on the error stream, hidden when `quiet` or when it is no terminal.
+pub fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
+    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let bar = ProgressBar::with_draw_target(Some(count as u64), target).with_prefix(what);
+    let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar
 }
 
 /// Where log messages go: the standard error, by way of this module.

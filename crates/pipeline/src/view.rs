@@ -1,15 +1,15 @@
 //! `ffgs view`: a run or a stream in the browser.
 
-use crate::cli::LogArgs;
-use crate::export_stream::{StreamExport, StreamOptions};
+use crate::args::LogArgs;
+use crate::cameras::Views;
+use crate::export::stream::{StreamExport, StreamOptions};
+use crate::finished_run::FinishedRun;
 use crate::page::{ENGINE, FILES, engine};
-use crate::render::FinishedRun;
 use crate::terminal;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_viewer::{Site, Source, Viewer};
-use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -36,6 +36,9 @@ pub struct ViewArgs {
 const LOOK_EVERY: Duration = Duration::from_secs(2);
 
 /// Serves until the process is stopped.
+///
+/// # Errors
+/// When the folder is neither a run nor a stream, or the port is taken.
 pub fn view(args: &ViewArgs) -> Result<()> {
     let engine = engine()?;
     let is_run = args.folder.join("run.json").exists();
@@ -77,78 +80,6 @@ fn follow(folder: &Path, stream: &Path) -> Result<()> {
         }
         std::thread::sleep(LOOK_EVERY);
     }
-}
-
-/// `cameras.json`: the cameras of a capture.
-#[derive(Debug, Serialize)]
-pub(crate) struct Views {
-    views: Vec<ViewOf>,
-}
-
-#[derive(Debug, Serialize)]
-struct ViewOf {
-    name: String,
-    split: String,
-    width: usize,
-    height: usize,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    /// Per frame the first three rows of the pose, row by row; one where the camera stands still.
-    world_from_camera: Vec<[f64; 12]>,
-    /// Per frame, where the page has them.
-    photographs: Option<Vec<String>>,
-}
-
-impl Views {
-    /// The training and test cameras, those that cannot be read left out.
-    pub(crate) fn of(capture: &dyn Capture, with_photographs: bool) -> Result<Self> {
-        let mut views = Vec::new();
-        for split in [Split::Test, Split::Train] {
-            for (index, name) in capture.views(split).iter().enumerate() {
-                views.extend(view_of(capture, split, index, name, with_photographs)?);
-            }
-        }
-        Ok(Self { views })
-    }
-}
-
-fn view_of(
-    capture: &dyn Capture,
-    split: Split,
-    index: usize,
-    name: &str,
-    with_photographs: bool,
-) -> Result<Option<ViewOf>> {
-    let frames = 0..capture.frames_of(split);
-    let cameras = frames.clone().map(|frame| capture.camera(ViewAt { split, view: index, frame }));
-    let cameras = cameras.collect::<Result<Vec<_>, _>>()?;
-    let Some(first) = cameras.first() else { return Ok(None) };
-    let (lens, size) = (first.intrinsics(), first.size());
-    let pose = |camera: &ffgs_core::Camera| {
-        let (turn, centre) = (camera.rotation().transpose(), camera.center());
-        let row = |k: usize| [turn.row(k).x, turn.row(k).y, turn.row(k).z, centre[k]];
-        let [a, b, c] = [0, 1, 2].map(row);
-        std::array::from_fn(|i| [a, b, c][i / 4][i % 4])
-    };
-    let mut poses: Vec<[f64; 12]> = cameras.iter().map(pose).collect();
-    if poses.iter().all(|p| *p == poses[0]) {
-        poses.truncate(1);
-    }
-    let photographs = frames.map(|t| format!("photo/{split}/{index}/{t}.png")).collect();
-    Ok(Some(ViewOf {
-        name: name.to_owned(),
-        split: split.to_string(),
-        width: size.width,
-        height: size.height,
-        fx: lens.fx,
-        fy: lens.fy,
-        cx: lens.cx,
-        cy: lens.cy,
-        world_from_camera: poses,
-        photographs: with_photographs.then_some(photographs),
-    }))
 }
 
 /// The file of `SPLIT/VIEW/FRAME.png`.

@@ -1,11 +1,13 @@
 //! Runs over two or three frames of the sample, with next to no training.
 
 use ffgs_pipeline::choice::MethodChoice;
-use ffgs_pipeline::cli::FrameRange;
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::record::{FrameRecord, Metrics, RunFolder, read_json};
-use ffgs_pipeline::run::{RunRequest, run};
+use ffgs_pipeline::folder::RunFolder;
+use ffgs_pipeline::json::read_json;
+use ffgs_pipeline::record::{FrameRecord, Metrics};
+use ffgs_pipeline::request::{FrameRange, RunRequest};
+use ffgs_pipeline::run::run;
 use ffgs_pipeline::state;
 use ffgs_trainer::StaticMethod;
 use std::fs;

@@ -2,14 +2,14 @@
 
 use ffgs_arrays::{NpzFile, NpzWriter};
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::stage::{Stage, run as run_on};
+use ffgs_pipeline::stage::{Form, Stage, run as run_on};
 use ffgs_testkit::{largest, largest_difference, relative_difference};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn run(stage: Stage, input: &Path, output: &Path) -> anyhow::Result<()> {
-    run_on(stage, input, output, &Device::Cpu)
+    run_on(stage, Form::Literal, input, output, &Device::Cpu)
 }
 
 fn cases(folder: &str) -> Vec<PathBuf> {
@@ -130,6 +130,57 @@ fn ssim_matches() {
             assert!(error <= 1e-5, "{name}, {key}: {error:.1e}");
         }
     }
+}
+
+/// In the forms of a run: a group of Gaussians that moves rigidly is told more of, the loss is that of the f64 form within
+/// rounding to 8 bit, and a Gaussian is displaced by the flow under it.
+#[test]
+fn stages_do_what_a_run_does() {
+    let folder = TempDir::new().unwrap();
+    let [input, output] = ["in.npz", "out.npz"].map(|name| folder.path().join(name));
+    let run = |stage, form| {
+        run_on(stage, form, &input, &output, &Device::Cpu).unwrap();
+        NpzFile::open(&output).unwrap()
+    };
+    let image: Vec<f32> = (0..3 * 20 * 24).map(|i| (i * 37 % 256) as f32 / 255.0).collect();
+    let other: Vec<f32> = image.iter().map(|v| 0.8 * v + 0.1).collect();
+    NpzWriter::new()
+        .f32("img1", &[3, 20, 24], &other)
+        .f32("img2", &[3, 20, 24], &image)
+        .write(&input)
+        .unwrap();
+    let (ours, literal) = (run(Stage::Ssim, Form::Run), run(Stage::Ssim, Form::Literal));
+    assert!(largest_difference(&values(&ours, "ssim"), &values(&literal, "same_value")) < 1e-5);
+    assert!(largest_difference(&values(&ours, "loss"), &values(&literal, "loss3dgs_value")) < 1e-5);
+    assert!(relative_difference(&values(&ours, "loss_grad"), &values(&literal, "loss3dgs_grad")) < 1e-3);
+
+    let (width, height) = (24, 20);
+    let flow: Vec<f32> = [2.0, -1.0].repeat(width * height);
+    let ones = vec![1.0; width * height];
+    NpzWriter::new()
+        .f32("in_means", &[1, 3], &[0.0, 0.0, 2.0])
+        .f32("in_quats", &[1, 4], &[1.0, 0.0, 0.0, 0.0])
+        .f32("in_log_scales", &[1, 3], &[-2.0; 3])
+        .f32("in_opacity_logits", &[1], &[1.0])
+        .f32("in_sh", &[1, 1, 3], &[0.0; 3])
+        .f32("in_viewmat", &[4, 4], &glam::Mat4::IDENTITY.to_cols_array())
+        .f32("in_K", &[3, 3], &[20.0, 0.0, 12.0, 0.0, 20.0, 10.0, 0.0, 0.0, 1.0])
+        .f32("width", &[], &[width as f32])
+        .f32("height", &[], &[height as f32])
+        .f32("flow", &[1, height, width, 2], &flow)
+        .f32("confidence", &[1, height, width], &ones)
+        .f32("mask", &[height, width], &ones)
+        .write(&input)
+        .unwrap();
+    let moved = run(Stage::Associate, Form::Run);
+    assert!(largest_difference(&values(&moved, "target"), &[14.0, 9.0]) < 1e-4);
+    assert!(values(&moved, "weight")[0] > 0.0);
+
+    let case = &cases("fuse")[0];
+    fs::copy(case, &input).unwrap();
+    let (ours, literal) = (run(Stage::Fuse, Form::Run), run(Stage::Fuse, Form::Literal));
+    let difference = largest_difference(&values(&ours, "means"), &values(&literal, "means"));
+    assert!(difference.is_finite() && difference > 0.0, "groups change nothing");
 }
 
 const FOLDERS: [(Stage, &str); 7] = [

@@ -8,6 +8,7 @@ mod conversion;
 mod error;
 mod extraction;
 mod hull;
+mod in_place;
 mod journal;
 mod masks;
 mod pictures;
@@ -23,6 +24,7 @@ mod video;
 
 pub use conversion::{Layout, convert};
 pub use error::PrepareError;
+pub use in_place::InPlace;
 pub use preparation::{Summary, prepare};
 pub use progress::Progress;
 pub use request::{Request, Step, TestCameras};

@@ -138,7 +138,7 @@ pub(crate) fn distorted(footage: &Footage) -> usize {
     footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
 }
 
-fn is_plain(c: char) -> bool {
+pub(crate) fn is_plain(c: char) -> bool {
     c.is_alphanumeric() || matches!(c, '-' | '_' | '.')
 }
 
@@ -158,7 +158,8 @@ fn first_size(of: &Pictures) -> Result<ImageSize, PrepareError> {
     }
 }
 
-fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<bool>, PrepareError> {
+/// Whether each camera is held out.
+pub(crate) fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<bool>, PrepareError> {
     let cameras = &footage.cameras;
     let said = cameras.iter().any(|c| c.role != Role::Unsaid);
     let test: Vec<bool> = match &request.test {
@@ -188,7 +189,7 @@ fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<bool>, Prepa
 }
 
 /// The middle of the cameras when they are far from the world's origin, else the origin.
-fn origin(footage: &Footage) -> DVec3 {
+pub(crate) fn origin(footage: &Footage) -> DVec3 {
     let centres: Vec<DVec3> =
         footage.cameras.iter().flat_map(|c| &c.poses).map(|p| p.inverse().w_axis.truncate()).collect();
     let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;

@@ -2,6 +2,7 @@
 //! timing table, motion and uncertainty, what was skipped, the configuration. No network, no other files.
 
 mod colour;
+mod error;
 mod input;
 mod motion_plots;
 mod overlay;
@@ -10,7 +11,8 @@ mod picture;
 mod plot;
 mod timing;
 
+pub use error::ReportError;
 pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
-pub use page::{ReportError, write_report};
+pub use page::write_report;
 pub use picture::{FramePictures, Thumbnails, error_map};

@@ -1,41 +1,18 @@
 use crate::motion_plots::motion_plots;
 use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};
-use crate::{FrameReport, ReportInput, ViewReport, picture};
+use crate::{FrameReport, ReportError, ReportInput, ViewReport, picture};
 use ffgs_core::{read_text, write_atomically};
 use minijinja::Environment;
 use serde::Serialize;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
-use thiserror::Error;
+use std::path::Path;
 
 const TEMPLATE: &str = include_str!("../templates/report.html");
 const STYLE: &str = include_str!("../templates/style.css");
 /// The pictures of a frame are bounded in sum when they are encoded, far below.
 const MAX_PICTURES_BYTES: u64 = 1 << 28;
 const SCRIPT: &str = include_str!("../templates/script.js");
-
-/// Why a report was not written.
-#[derive(Debug, Error)]
-pub enum ReportError {
-    /// The file of a frame's pictures cannot be read.
-    #[error("{}: {source}; remove the frame's folder and resume, or run ffgs eval", .path.display())]
-    Pictures {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// A picture could not be encoded.
-    #[error("cannot encode a picture: {0}")]
-    Encode(image::ImageError),
-    /// The template failed.
-    #[error("report template: {0}")]
-    Template(#[from] minijinja::Error),
-    /// The file cannot be written.
-    #[error("cannot write the report: {0}")]
-    Io(#[from] io::Error),
-}
 
 #[derive(Serialize)]
 struct Headline {

@@ -2,6 +2,7 @@
 //! per coefficient of the spherical harmonics above degree 0. Source: playcanvas/splat-transform, `compressed-chunk.ts`.
 
 use crate::error::InFile;
+use crate::format::Format;
 use crate::ply_header::ply_comment;
 use crate::quantise::{SH_C0, smallest_three, unorm};
 use crate::{Problem, RenderMode, SplatError};
@@ -9,6 +10,14 @@ use ffgs_core::{Gaussians, sigmoid, write_atomically};
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
+
+pub(crate) const FORMAT: Format = Format {
+    name: "compressed-ply-seq",
+    summary: "SuperSplat (as a sequence) and the PlayCanvas engine",
+    extension: ".compressed.ply",
+    write: |file, splats, mode| write_compressed_ply(file, splats.gaussians, mode),
+    read: None,
+};
 
 /// Gaussians that share bounds.
 const CHUNK: usize = 256;

@@ -1,12 +1,21 @@
 //! Binary glTF 2.0 with the extension `KHR_gaussian_splatting`, uncompressed. The layout is that of splat-transform's writer.
 
 use crate::error::InFile;
+use crate::format::Format;
 use crate::quantise::{SH_C0, to_byte};
 use crate::{Problem, SplatError};
 use ffgs_core::{Gaussians, sigmoid, write_atomically};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::Path;
+
+pub(crate) const FORMAT: Format = Format {
+    name: "glb",
+    summary: "viewers of glTF with KHR_gaussian_splatting",
+    extension: ".glb",
+    write: |file, splats, _| write_glb(file, splats.gaussians),
+    read: None,
+};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_BYTE: u32 = 5121;

@@ -9,6 +9,7 @@ mod codebook;
 mod compressed_ply;
 mod error;
 mod format;
+mod formats;
 mod glb;
 mod ply_header;
 mod ply_read;
@@ -21,11 +22,11 @@ mod spz;
 pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
 pub use compressed_ply::write_compressed_ply;
 pub use error::{Problem, SplatError};
-pub use ffgs_method::RenderMode;
-pub use format::FORMATS;
+pub use ffgs_method::{Followed, RenderMode};
+pub use formats::FORMATS;
 pub use glb::write_glb;
 pub use ply_read::{PlySplats, read_ply};
-pub use ply_write::{Tracked, write_ply};
+pub use ply_write::write_ply;
 pub use sky::{
     Panorama, SKY_FACES, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular,
     write_sky_faces,

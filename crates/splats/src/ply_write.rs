@@ -1,19 +1,19 @@
 use crate::error::InFile;
+use crate::format::Format;
 use crate::ply_header::ply_comment;
-use crate::{Problem, RenderMode, SplatError};
+use crate::{Followed, Problem, RenderMode, SplatError};
 use ffgs_core::{Gaussians, write_atomically};
 use glam::DMat3;
 use std::io::Write;
 use std::path::Path;
 
-/// What is known of Gaussians that are followed over time, a row each.
-#[derive(Clone, Copy, Debug)]
-pub struct Tracked<'a> {
-    /// Position covariances (m^2).
-    pub covariances: &'a [DMat3],
-    /// Ids that stay with a Gaussian over all frames.
-    pub ids: &'a [u32],
-}
+pub(crate) const FORMAT: Format = Format {
+    name: "ply-seq",
+    summary: "SuperSplat (as a sequence), Brush and every viewer; exact, 248 bytes per Gaussian of SH degree 3",
+    extension: ".ply",
+    write: |file, splats, mode| write_ply(file, splats.gaussians, splats.followed, mode),
+    read: Some(|file| crate::read_ply(file).map(|ply| ply.gaussians)),
+};
 
 /// Writes a binary little-endian 3DGS PLY that other viewers open: `x y z nx ny nz f_dc_* f_rest_*` (channel-major)
 /// `opacity scale_* rot_*` (w, x, y, z), all f32. What is `tracked` becomes the extra properties
@@ -25,7 +25,7 @@ pub struct Tracked<'a> {
 pub fn write_ply(
     path: &Path,
     gaussians: &Gaussians,
-    tracked: Option<Tracked>,
+    tracked: Option<Followed>,
     mode: RenderMode,
 ) -> Result<(), SplatError> {
     check(gaussians, tracked).in_file(path)?;
@@ -47,7 +47,7 @@ pub fn write_ply(
     .in_file(path)
 }
 
-fn check(gaussians: &Gaussians, tracked: Option<Tracked>) -> Result<(), Problem> {
+fn check(gaussians: &Gaussians, tracked: Option<Followed>) -> Result<(), Problem> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string()))?;
     let n = gaussians.len();
     match tracked {

@@ -3,6 +3,7 @@
 
 use crate::codebook::{codebook, nearest, palette};
 use crate::error::InFile;
+use crate::format::Format;
 use crate::quantise::{smallest_three, to_byte};
 use crate::{Problem, RenderMode, SplatError};
 use ffgs_core::{Gaussians, sigmoid, write_atomically};
@@ -13,6 +14,14 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
+
+pub(crate) const FORMAT: Format = Format {
+    name: "sog",
+    summary: "the PlayCanvas engine, also as a flipbook, and SuperSplat",
+    extension: ".sog",
+    write: |file, splats, mode| write_sog(file, splats.gaussians, mode),
+    read: None,
+};
 
 /// Entries of a codebook: a byte.
 const CODES: usize = 256;

@@ -4,12 +4,21 @@
 
 use crate::bytes::Cursor;
 use crate::error::InFile;
+use crate::format::Format;
 use crate::quantise::{from_smallest_three, smallest_three, to_byte};
 use crate::{Problem, RenderMode, SplatError};
 use ffgs_core::{Gaussians, logit, read_bytes, sigmoid, write_atomically};
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::io::{Read, Write};
 use std::path::Path;
+
+pub(crate) const FORMAT: Format = Format {
+    name: "spz",
+    summary: "players of Niantic's SPZ, version 4",
+    extension: ".spz",
+    write: |file, splats, mode| write_spz(file, splats.gaussians, mode, ShBits::default()),
+    read: Some(|file| read_spz(file).map(|(gaussians, _)| gaussians)),
+};
 
 const MAGIC: &[u8; 4] = b"NGSP";
 const VERSION: u32 = 4;

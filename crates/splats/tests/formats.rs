@@ -119,7 +119,7 @@ fn every_format_writes_every_degree_and_an_empty_set() {
     for format in FORMATS.items {
         for g in [some_gaussians(700, 3), some_gaussians(1, 1), some_gaussians(5, 0), Gaussians::empty(2)] {
             let path = folder.path().join(format!("a{}", format.extension()));
-            format.write(&path, &g, RenderMode::Plain).unwrap();
+            format.write(&path, &(&g).into(), RenderMode::Plain).unwrap();
             assert!(std::fs::metadata(&path).unwrap().len() > 0, "{}", format.name());
         }
     }
@@ -133,7 +133,7 @@ fn a_header_names_the_mode() {
     for format in &FORMATS.items[..2] {
         let path = folder.path().join(format!("a{}", format.extension()));
         for (mode, named) in [(RenderMode::Mip, true), (RenderMode::Plain, false)] {
-            format.write(&path, &some_gaussians(3, 0), mode).unwrap();
+            format.write(&path, &(&some_gaussians(3, 0)).into(), mode).unwrap();
             let text = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
             assert_eq!(text.contains("comment SplatRenderMode: mip\n"), named, "{}", format.name());
         }
@@ -207,7 +207,7 @@ fn players_read_what_was_written() {
     for format in FORMATS.items.iter().filter(|f| f.name() != "glb") {
         let g = some_gaussians(2000, 3);
         let written = folder.path().join(format!("a{}", format.extension()));
-        format.write(&written, &g, RenderMode::Mip).unwrap();
+        format.write(&written, &(&g).into(), RenderMode::Mip).unwrap();
         let back = folder.path().join("back.ply");
         transform(&judge, &written, &back);
         let text = String::from_utf8_lossy(&std::fs::read(&back).unwrap()[..200]).into_owned();

@@ -1,7 +1,7 @@
 //! Splat PLY: round trips, foreign files, hostile files.
 
 use ffgs_core::{Gaussians, sh_coefficients};
-use ffgs_splats::{Problem, RenderMode, Tracked, read_ply, write_ply};
+use ffgs_splats::{Followed, Problem, RenderMode, read_ply, write_ply};
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;
 use std::fs;
@@ -61,18 +61,18 @@ fn covariances_and_ids_survive_and_an_empty_set_is_a_file() {
         DVec3::new(0.5, 2.0, 0.125),
         DVec3::new(0.25, 0.125, 3.0),
     );
-    let tracked = Tracked { covariances: &[m, m * 2.0], ids: &[7, u32::MAX] };
+    let tracked = Followed { covariances: &[m, m * 2.0], ids: &[7, u32::MAX] };
     write_ply(&scratch.path(), &some_gaussians(2, 1), Some(tracked), RenderMode::Mip).unwrap();
     let back = read_ply(&scratch.path()).unwrap();
     assert_eq!(back.covariances.unwrap(), [m, m * 2.0]);
     assert_eq!(back.ids.unwrap(), [7, u32::MAX]);
-    let none = Tracked { covariances: &[], ids: &[] };
+    let none = Followed { covariances: &[], ids: &[] };
     write_ply(&scratch.path(), &Gaussians::empty(3), Some(none), RenderMode::Mip).unwrap();
     assert!(read_ply(&scratch.path()).unwrap().gaussians.is_empty());
     let error = write_ply(
         &scratch.path(),
         &some_gaussians(2, 1),
-        Some(Tracked { covariances: &[m], ids: &[1] }),
+        Some(Followed { covariances: &[m], ids: &[1] }),
         RenderMode::Mip,
     )
     .unwrap_err();

@@ -3,7 +3,8 @@
 use crate::motion::Motion;
 use crate::numbers::{Flag, Number};
 use crate::range_coder::Coder;
-use crate::row::{HarmonicModels, MAX_HARMONICS, Row, code_colour, plus};
+use crate::row::{MAX_HARMONICS, Row};
+use crate::row_models::{HarmonicModels, code_colour, plus};
 use crate::steps::{Measures, Steps, largest, round, unit};
 
 /// Differences to what motion predicts, in steps.

@@ -6,7 +6,8 @@ use crate::frame_file::take_u32;
 use crate::motion::Motion;
 use crate::numbers::{Flag, Number};
 use crate::range_coder::{Coder, Decoder, Encoder};
-use crate::row::{HarmonicModels, MAX_GROUPS, MAX_HARMONICS, Row, RowModels, code_colour, plus};
+use crate::row::{MAX_GROUPS, MAX_HARMONICS, Row};
+use crate::row_models::{HarmonicModels, RowModels, code_colour, plus};
 use crate::steps::{Measures, Steps, round};
 
 /// Gaussians that a section may claim: more would not fit in the memory of a player.

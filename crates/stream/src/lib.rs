@@ -14,6 +14,7 @@ mod numbers;
 mod range_coder;
 mod reader;
 mod row;
+mod row_models;
 mod steps;
 mod writer;
 

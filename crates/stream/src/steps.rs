@@ -201,3 +201,30 @@ pub(crate) fn largest(q: [f64; 4]) -> u8 {
 pub(crate) fn round(x: f64) -> i32 {
     (x + 0.5).floor() as i32
 }
+
+impl Row {
+    /// Rounds a Gaussian.
+    pub(crate) fn rounded(m: &Measures, steps: &Steps, group: u8) -> Self {
+        let scales = m.scales.map(round);
+        let level = steps.level(scales);
+        let unit = f64::from(1_u32 << level);
+        let largest = largest(m.quat);
+        Self {
+            position: m.position.map(|v| round(v / unit) << level),
+            largest,
+            rotation: steps.rotation_measures(m.quat, largest).map(round),
+            scales,
+            opacity: round(m.opacity).clamp(0, steps.opacity),
+            colour: m.colour.map(round),
+            harmonics: m.harmonics.map(|v| dead_zone(v) as i16),
+            group,
+        }
+    }
+}
+
+/// Rounds with a wider 0, which costs next to nothing to code.
+fn dead_zone(v: f64) -> i32 {
+    /// Magnitudes below this become 0.
+    const EDGE: f64 = 0.65;
+    if v.abs() < EDGE { 0 } else { round(v).clamp(-(1 << 14), 1 << 14) }
+}

@@ -1,7 +1,11 @@
-use crate::{LoadStats, TrackStore, TracksError};
+//! What a capture's trackers offer, and what is wrong with their files.
+
+use crate::store::TrackStore;
 use ffgs_core::{ImageSize, TrackerLevel, ViewMotion};
+use ffgs_method::{Fault, Tracked};
 use rayon::prelude::*;
 use std::fmt;
+use std::path::PathBuf;
 
 /// What one tracker offers.
 #[derive(Clone, Debug)]
@@ -29,38 +33,29 @@ pub struct TrackerSummary {
 /// More of the tracks than this outside of the image are a mistake and no overshoot at its border.
 const MOST_OUTSIDE: f64 = 0.05;
 
-/// Something that keeps a tracker from being used.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TracksFault {
-    /// What is wrong; names the file.
-    pub problem: String,
-    /// What to do about it.
-    pub fix: String,
-}
-
 /// Inventory and faults of a capture's trackers; prints as a table.
 #[derive(Clone, Debug, Default)]
 pub struct TracksReport {
     /// One entry per tracker.
     pub trackers: Vec<TrackerSummary>,
+    /// The list of trackers.
+    pub list: PathBuf,
     /// What must be mended.
-    pub faults: Vec<TracksFault>,
+    pub faults: Vec<Fault>,
 }
 
 /// Reads, in parallel, the file of every tracker for `cameras` (folder name, image size) and the motions into
 /// frames `1..frames`.
 pub fn check(store: &TrackStore, cameras: &[(String, ImageSize)], frames: usize) -> TracksReport {
-    let mut report = TracksReport::default();
+    let mut report = TracksReport { list: store.list(), ..TracksReport::default() };
     for tracker in 0..store.trackers().len() {
         check_tracker(store, tracker, cameras, frames, &mut report);
     }
     if report.trackers.is_empty() {
-        report.add("tracks/tracks.json lists no tracker", "list at least one tracker, or remove the file");
+        report.add("it lists no tracker", "list at least one tracker, or remove the file");
     }
     report
 }
-
-type Loaded = Result<Option<(ViewMotion, LoadStats)>, TracksError>;
 
 fn check_tracker(
     store: &TrackStore,
@@ -71,7 +66,7 @@ fn check_tracker(
 ) {
     let items: Vec<_> = cameras.iter().flat_map(|camera| (1..frames).map(move |t| (camera, t))).collect();
     let load = |((name, size), t): &(&(String, ImageSize), usize)| {
-        count(store.load_counted(tracker, name, *t, *size), *size)
+        count(store.load(tracker, name, *t, *size), *size)
     };
     let counts: Vec<_> = items.par_iter().map(load).collect();
     let entry = &store.trackers()[tracker];
@@ -89,16 +84,16 @@ fn check_tracker(
     let mut with_file = vec![false; frames];
     for (item, (_, t)) in counts.into_iter().zip(&items) {
         match item {
-            Ok(Some((stats, outside))) => {
+            Ok(Some(counts)) => {
                 with_file[*t] = true;
-                summary.outside += outside.all;
-                summary.inside_exchanged += outside.inside_exchanged;
+                summary.outside += counts.outside;
+                summary.inside_exchanged += counts.inside_exchanged;
                 summary.files += 1;
-                summary.tracks += stats.read - stats.dropped;
-                summary.dropped += stats.dropped;
+                summary.tracks += counts.kept;
+                summary.dropped += counts.dropped;
             }
             Ok(None) => summary.missing += 1,
-            Err(error) => report.add(&error.to_string(), error.fix()),
+            Err(fault) => report.faults.push(fault),
         }
     }
     if summary.files > 0 {
@@ -108,25 +103,32 @@ fn check_tracker(
     report.trackers.push(summary);
 }
 
-/// Correspondences that start outside of the image.
-#[derive(Clone, Copy, Default)]
-struct Outside {
-    all: usize,
+/// Of one file.
+struct Counts {
+    kept: usize,
+    dropped: usize,
+    /// Correspondences that start outside of the image.
+    outside: usize,
+    /// Of those, how many would start inside with column and row exchanged.
     inside_exchanged: usize,
 }
 
-/// Drops the motion at once: only counts are kept.
-fn count(loaded: Loaded, size: ImageSize) -> Result<Option<(LoadStats, Outside)>, TracksError> {
-    Ok(loaded?.map(|(motion, stats)| (stats, outside(&motion, size))))
+/// Drops the motion at once.
+fn count(loaded: Result<Option<Tracked>, Fault>, size: ImageSize) -> Result<Option<Counts>, Fault> {
+    let count = |Tracked { motion, read, dropped }| {
+        let (outside, inside_exchanged) = outside(&motion, size);
+        Counts { kept: read - dropped, dropped, outside, inside_exchanged }
+    };
+    Ok(loaded?.map(count))
 }
 
-fn outside(motion: &ViewMotion, size: ImageSize) -> Outside {
-    let ViewMotion::Tracks(tracks) = motion else { return Outside::default() };
+fn outside(motion: &ViewMotion, size: ImageSize) -> (usize, usize) {
+    let ViewMotion::Tracks(tracks) = motion else { return (0, 0) };
     let (width, height) = (size.width as f32, size.height as f32);
     let inside = |x: f32, y: f32| (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
     let all = tracks.src.iter().filter(|p| !inside(p[0], p[1]));
     let exchanged = all.clone().filter(|p| inside(p[1], p[0]));
-    Outside { all: all.clone().count(), inside_exchanged: exchanged.count() }
+    (all.clone().count(), exchanged.count())
 }
 
 impl TracksReport {
@@ -164,7 +166,7 @@ impl TracksReport {
     }
 
     fn add(&mut self, problem: &str, fix: &str) {
-        self.faults.push(TracksFault { problem: problem.to_owned(), fix: fix.to_owned() });
+        self.faults.push(Fault::new(&self.list, problem, fix));
     }
 }
 
@@ -175,6 +177,6 @@ impl fmt::Display for TracksReport {
             write!(f, "  tracker {} ({level}): {} files, {} missing, ", t.name, t.files, t.missing)?;
             writeln!(f, "{} tracks, {} dropped", t.tracks, t.dropped)?;
         }
-        self.faults.iter().try_for_each(|fault| writeln!(f, "fault: {}\n  fix: {}", fault.problem, fault.fix))
+        self.faults.iter().try_for_each(|fault| writeln!(f, "fault: {fault}"))
     }
 }

@@ -1,12 +1,13 @@
 use ffgs_arrays::ArraysError;
 use ffgs_core::ImageSize;
+use ffgs_method::Fault;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// A tracker's file, or the list of trackers, cannot be used. Every message names the file.
 #[derive(Debug, Error)]
-pub enum TracksError {
+pub(crate) enum TracksError {
     /// The file cannot be read.
     #[error("{}: {source}", .file.display())]
     Io {
@@ -56,14 +57,15 @@ pub enum TracksError {
         /// Size of the flow.
         found: ImageSize,
     },
-    /// There is no such tracker.
-    #[error("there is no tracker {0}")]
-    NoSuchTracker(usize),
 }
 
 impl TracksError {
-    /// What the user can do about it.
-    pub fn fix(&self) -> &'static str {
+    /// This error of `file`, with what to do about it.
+    pub fn in_file(&self, file: &Path) -> Fault {
+        Fault::new(file, self, self.fix())
+    }
+
+    fn fix(&self) -> &'static str {
         match self {
             Self::Io { .. } => "add the file or its read permission",
             Self::Index { .. } => "give every tracker a name, level, format, pattern and pixel_center",
@@ -71,7 +73,6 @@ impl TracksError {
             Self::Flow { .. } => "write the file again: Middlebury .flo, or EXR with channels U and V",
             Self::Columns { .. } => "give src, tgt, visibility and score the same number of rows",
             Self::Size { .. } => "run the tracker at the images' size",
-            Self::NoSuchTracker(_) => "choose a tracker that tracks.json lists",
         }
     }
 }

@@ -1,6 +1,9 @@
-use crate::TracksError;
-use crate::dense::RawFlow;
+//! Middlebury optical flow.
+
+use crate::error::TracksError;
+use crate::flow::RawFlow;
 use ffgs_core::{ImageSize, open_input};
+use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -8,9 +11,33 @@ use std::path::Path;
 const MAGIC: [u8; 4] = *b"PIEH";
 const HEADER_BYTES: usize = 12;
 
+/// Middlebury flow files.
+pub(crate) struct Flo;
+
+impl Plugin for Flo {
+    fn name(&self) -> &'static str {
+        "flo"
+    }
+
+    fn summary(&self) -> &'static str {
+        "Middlebury optical flow"
+    }
+}
+
+impl TrackFormat for Flo {
+    fn is_dense(&self) -> bool {
+        true
+    }
+
+    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
+        let tracked = read(file, size).and_then(|flow| flow.into_motion(file, size));
+        tracked.map_err(|error| error.in_file(file))
+    }
+}
+
 /// Reads a Middlebury flow file: magic, width, height (i32), then (u, v) f32 per pixel, little-endian, row-major.
 /// Another size than `expected` is refused from the header.
-pub(crate) fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
+fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
     let io = |source| TracksError::Io { file: file.to_owned(), source };
     let fail = |reason: String| TracksError::Flow { file: file.to_owned(), reason };
     let mut reader = BufReader::new(open_input(file).map_err(io)?);

@@ -1,53 +1,38 @@
-use crate::TracksError;
+//! `tracks.json`, the list of a capture's trackers.
+
+use crate::error::TracksError;
+use crate::formats::FORMATS;
 use ffgs_core::{TrackerLevel, read_text};
+use ffgs_method::{PixelCenter, TrackFormat};
 use serde::Deserialize;
+use serde::de::{Deserializer, Error};
 use std::path::Path;
 
 /// Most bytes of tracks.json.
 const MAX_INDEX_BYTES: u64 = 1 << 20;
-/// Most trackers: each costs a motion field a view, and a triangulation, in every frame.
+/// Most trackers: each costs a motion field per view, and a triangulation, in every frame.
 const MAX_TRACKERS: usize = 64;
 
-/// File format of a tracker.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum TrackFormat {
-    /// Correspondences: `src`, `tgt` (N, 2) px, optional `visibility`, `score` (N).
-    Npz,
-    /// Middlebury optical flow.
-    Flo,
-    /// Optical flow in the channels U, V of an OpenEXR image.
-    Exr,
-    /// Optical flow as a numpy array (H, W, 2).
-    Npy,
-}
-
-/// Where a tracker's coordinates put the centre of the first pixel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PixelCenter {
-    /// At (0, 0), as most trackers do.
-    #[default]
-    Integer,
-    /// At (0.5, 0.5), as this project does.
-    Half,
-}
-
 /// One entry of tracks.json.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct Tracker {
     /// Name in reports and options.
     pub name: String,
     /// How densely it covers the image.
     pub level: TrackerLevel,
-    /// File format.
-    pub format: TrackFormat,
+    /// File format, by its name.
+    #[serde(deserialize_with = "by_name")]
+    pub format: &'static dyn TrackFormat,
     /// Path below `tracks/` with `{camera}` and one of `{frame}` or, zero-padded, `{frame:06}` (the frame's index), or
     /// `{stem}` (the name of the camera's image of that frame, without folder and extension).
     pub pattern: String,
     /// Its pixel convention.
     #[serde(default)]
     pub pixel_center: PixelCenter,
+}
+
+fn by_name<'de, D: Deserializer<'de>>(text: D) -> Result<&'static dyn TrackFormat, D::Error> {
+    FORMATS.find(&String::deserialize(text)?).map_err(D::Error::custom)
 }
 
 #[derive(Deserialize)]
@@ -74,9 +59,8 @@ pub(crate) fn read_index(file: &Path) -> Result<Vec<Tracker>, TracksError> {
 
 impl Tracker {
     fn validate(&self) -> Result<(), String> {
-        let flow = self.format != TrackFormat::Npz;
-        if flow != (self.level == TrackerLevel::Dense) {
-            return Err(format!("level {:?} does not go with format {:?}", self.level, self.format));
+        if self.format.is_dense() != (self.level == TrackerLevel::Dense) {
+            return Err(format!("level {:?} does not go with format {}", self.level, self.format.name()));
         }
         if !self.pattern.contains("{camera}") || self.pattern.contains("{frame") == self.uses_stem() {
             return Err(format!(

@@ -11,17 +11,19 @@
 //! pixel centres at + 0.5, finite, and of the size of its camera.
 
 mod check;
-mod correspondences;
-mod dense;
 mod error;
-mod exr_flow;
+mod exr;
 mod flo;
+mod flow;
+mod formats;
 mod index;
+mod npy;
+mod npz;
 mod source;
 mod store;
 
-pub use check::{TrackerSummary, TracksFault, TracksReport, check};
-pub use error::TracksError;
-pub use index::{PixelCenter, TrackFormat, Tracker};
+pub use check::{TrackerSummary, TracksReport, check};
+pub use formats::FORMATS;
+pub use index::Tracker;
 pub use source::sources;
-pub use store::{LoadStats, TrackStore};
+pub use store::TrackStore;

@@ -1,18 +1,11 @@
-use crate::index::read_index;
-use crate::{TrackFormat, Tracker, TracksError, correspondences, dense, exr_flow, flo};
-use ffgs_core::{ImageSize, ViewMotion, is_present};
-use ffgs_method::{Capture, Split, ViewAt};
+//! The files of a capture's trackers.
+
+use crate::error::TracksError;
+use crate::index::{Tracker, read_index};
+use ffgs_core::{ImageSize, is_present};
+use ffgs_method::{Capture, Fault, Split, Tracked, ViewAt};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// What became of the rows or pixels of the files that were read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LoadStats {
-    /// Rows (correspondences) or pixels (flow) in the files.
-    pub read: usize,
-    /// Those left out because they are not finite, or marked as unknown.
-    pub dropped: usize,
-}
 
 /// The trackers of a capture. Nothing is cached.
 #[derive(Clone, Debug)]
@@ -24,17 +17,24 @@ pub struct TrackStore {
 
 impl TrackStore {
     /// Reads `tracks/tracks.json` of the capture; `None` when the capture has none.
-    pub fn open(capture_root: &Path) -> Result<Option<Self>, TracksError> {
+    ///
+    /// # Errors
+    /// When the list cannot be used.
+    pub fn open(capture_root: &Path) -> Result<Option<Self>, Fault> {
         let folder = capture_root.join("tracks");
         let index = folder.join("tracks.json");
         if !is_present(&index) {
             return Ok(None);
         }
-        Ok(Some(Self { trackers: read_index(&index)?, stems: BTreeMap::new(), folder }))
+        let trackers = read_index(&index).map_err(|error| error.in_file(&index))?;
+        Ok(Some(Self { trackers, stems: BTreeMap::new(), folder }))
     }
 
     /// The trackers of an opened capture, which learn the names of its images; `None` when it has none.
-    pub fn of(capture: &dyn Capture) -> Result<Option<Self>, TracksError> {
+    ///
+    /// # Errors
+    /// When the list of trackers cannot be used.
+    pub fn of(capture: &dyn Capture) -> Result<Option<Self>, Fault> {
         let Some(mut store) = Self::open(capture.root())? else { return Ok(None) };
         for (view, camera) in capture.views(Split::Train).iter().enumerate() {
             let stem = |frame| {
@@ -51,13 +51,21 @@ impl TrackStore {
         &self.trackers
     }
 
-    /// Path of a tracker's file for the motion of a camera (folder name) from `frame - 1` to `frame`.
-    pub fn path(&self, tracker: usize, camera: &str, frame: usize) -> Result<PathBuf, TracksError> {
-        let entry = self.trackers.get(tracker).ok_or(TracksError::NoSuchTracker(tracker))?;
-        let index = || self.folder.join("tracks.json");
-        let file = entry
-            .expand(camera, frame, self.stem(camera, frame))
-            .map_err(|reason| TracksError::Index { file: index(), reason })?;
+    /// The file that lists them.
+    pub fn list(&self) -> PathBuf {
+        self.folder.join("tracks.json")
+    }
+
+    /// Path of the file of tracker `tracker` for the motion of a camera (folder name) from `frame - 1` to `frame`.
+    ///
+    /// # Errors
+    /// When the file is named after an image that the capture does not have.
+    pub fn path(&self, tracker: usize, camera: &str, frame: usize) -> Result<PathBuf, Fault> {
+        let file = self.trackers[tracker].expand(camera, frame, self.stem(camera, frame));
+        let file = file.map_err(|reason| {
+            let index = self.list();
+            TracksError::Index { file: index.clone(), reason }.in_file(&index)
+        })?;
         Ok(self.folder.join(file))
     }
 
@@ -66,47 +74,18 @@ impl TrackStore {
     }
 
     /// Reads that file; `None` when it does not exist. `size` is the camera's image size.
+    ///
+    /// # Errors
+    /// When the file is damaged or of another size.
     pub fn load(
         &self,
         tracker: usize,
         camera: &str,
         frame: usize,
         size: ImageSize,
-    ) -> Result<Option<ViewMotion>, TracksError> {
-        Ok(self.load_counted(tracker, camera, frame, size)?.map(|(motion, _)| motion))
-    }
-
-    /// As [`TrackStore::load`], with the number of rows or pixels that were dropped.
-    pub fn load_counted(
-        &self,
-        tracker: usize,
-        camera: &str,
-        frame: usize,
-        size: ImageSize,
-    ) -> Result<Option<(ViewMotion, LoadStats)>, TracksError> {
+    ) -> Result<Option<Tracked>, Fault> {
         let file = self.path(tracker, camera, frame)?;
-        if !is_present(&file) {
-            return Ok(None);
-        }
-        let mut stats = LoadStats::default();
-        let motion = read(&self.trackers[tracker], &file, size, &mut stats)?;
-        Ok(Some((motion, stats)))
+        let Tracker { format, pixel_center, .. } = &self.trackers[tracker];
+        is_present(&file).then(|| format.read(&file, size, *pixel_center)).transpose()
     }
-}
-
-fn read(
-    tracker: &Tracker,
-    file: &Path,
-    size: ImageSize,
-    stats: &mut LoadStats,
-) -> Result<ViewMotion, TracksError> {
-    let flow = match tracker.format {
-        TrackFormat::Npz => {
-            return correspondences::read(file, size, tracker.pixel_center, stats).map(ViewMotion::Tracks);
-        }
-        TrackFormat::Flo => flo::read(file, size)?,
-        TrackFormat::Exr => exr_flow::read_exr(file, size)?,
-        TrackFormat::Npy => dense::read_npy_flow(file, size)?,
-    };
-    flow.into_motion(file, size, stats).map(ViewMotion::Dense)
 }

@@ -2,9 +2,11 @@
 
 use crate::normal::Normal;
 use crate::real::{Real, Truth, dot, minus};
-use crate::robust::NEAR2;
 use crate::views::{LensLanes, Row, Views};
 use pulp::{Simd, WithSimd};
+
+/// Twice the cut, squared: the first guess is not refined yet, and a view lost there never returns.
+pub const NEAR2: f64 = 4.0;
 
 /// How rays are weighted at a point.
 #[derive(Clone, Copy)]

@@ -13,8 +13,6 @@ pub struct Scales {
     pub cut: f64,
 }
 
-/// Twice the cut, squared: the first guess is not refined yet, and a view lost there never returns.
-pub const NEAR2: f64 = 4.0;
 /// Iterations of the soft re-weighting; it only has to land in the basin of the inliers.
 const SOFT_STEPS: usize = 6;
 /// Relative step (of the distance to the cameras) at which it has landed: a fifth of a pixel with f = 2000 px, where the

@@ -1,6 +1,6 @@
 use crate::config::TriangulationConfig;
 use crate::normal::Normal;
-use crate::passes::{Fit, RayWeights};
+use crate::passes::{Fit, NEAR2, RayWeights};
 use crate::real::{MAX_LANES, Real, Truth, dot, plus};
 use crate::robust::{self, Scales};
 use crate::views::Views;
@@ -129,7 +129,7 @@ pub fn finish<S: Simd>(
     let (mut fates, point) = Fates::after(views, starts);
     let cut2 = config.robust.then_some(scales.cut * scales.cut);
     if let Some(cut2) = cut2 {
-        views.remove_beyond(fates.alive, point, views.number(robust::NEAR2 * cut2));
+        views.remove_beyond(fates.alive, point, views.number(NEAR2 * cut2));
     }
     let fit = settle(views, point, config, cut2, &mut fates);
     let mut summary = summarise(views, &fit, &mut fates);

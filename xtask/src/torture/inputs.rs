@@ -250,7 +250,8 @@ pub fn damaged_stage_input(case: &mut Case) -> Result<()> {
     let [input, output] = ["in.npz", "out.npz"].map(|name| case.path(name));
     fs::write(&input, bytes)?;
     let paths = [&input, &output].map(|path| path.display().to_string());
-    let words = ["stage", &stage, "--input", &paths[0], "--output", &paths[1], "--device", "cpu"];
+    let words =
+        ["stage", &stage, "--literal", "--input", &paths[0], "--output", &paths[1], "--device", "cpu"];
     let ended = case.ffgs(&words.map(str::to_owned))?;
     ensure!(ended.status.success() == output.exists(), "an output beside an error, or none without");
     ensure!(ended.status.success() || said(&ended).contains("in.npz"), "which file? {}", said(&ended));

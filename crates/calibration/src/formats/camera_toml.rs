@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Reads caliscope's and aniposelib's camera lists.
-pub(super) const FORMAT: Format =
+pub const FORMAT: Format =
     Format { name: "toml", looks_for: "a .toml with camera matrices (caliscope, aniposelib)", find, read };
 
 fn find(folder: &Path) -> Option<PathBuf> {

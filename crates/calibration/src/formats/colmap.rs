@@ -1,44 +1,18 @@
 //! COLMAP's sparse models: text or binary, one for all frames or one per frame; world to camera, pixel centres at
 //! 0.5.
 
+use super::colmap_model::{CameraRecord, ImageRecord, Model};
 use super::{Format, checked, colmap_binary, colmap_text, find_below};
 use crate::media::{natural_order, stem};
-use crate::{
-    CalibrationError, ColouredPoint, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera,
-};
-use ffgs_core::{ImageSize, Intrinsics};
+use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
+use ffgs_core::Intrinsics;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Reads COLMAP's models.
-pub(super) const FORMAT: Format =
+pub const FORMAT: Format =
     Format { name: "colmap", looks_for: "cameras.bin or cameras.txt with images (COLMAP)", find, read };
-
-/// `cameras` of a model: id to model name, size and parameters.
-pub(super) struct CameraRecord {
-    pub id: u32,
-    pub model: String,
-    pub size: ImageSize,
-    pub parameters: Vec<f64>,
-}
-
-/// `images` of a model.
-pub(super) struct ImageRecord {
-    /// Hamilton quaternion w, x, y, z of world to camera.
-    pub rotation: [f64; 4],
-    pub translation: [f64; 3],
-    pub camera: u32,
-    pub name: String,
-}
-
-/// A sparse model.
-#[derive(Default)]
-pub(super) struct Model {
-    pub cameras: Vec<CameraRecord>,
-    pub images: Vec<ImageRecord>,
-    pub points: Vec<ColouredPoint>,
-}
 
 fn find(folder: &Path) -> Option<PathBuf> {
     find_below(folder, &|path| {

@@ -1,6 +1,6 @@
 //! `cameras.bin`, `images.bin`, `points3D.bin`: little-endian records after a count.
 
-use super::colmap::{CameraRecord, ImageRecord, Model};
+use super::colmap_model::{CameraRecord, ImageRecord, Model};
 use crate::{CalibrationError, ColouredPoint};
 use ffgs_core::{ImageSize, read_bytes};
 use glam::DVec3;

@@ -1,6 +1,6 @@
 //! `cameras.txt`, `images.txt`, `points3D.txt`.
 
-use super::colmap::{CameraRecord, ImageRecord, Model};
+use super::colmap_model::{CameraRecord, ImageRecord, Model};
 use super::read_text;
 use crate::{CalibrationError, ColouredPoint};
 use ffgs_core::ImageSize;

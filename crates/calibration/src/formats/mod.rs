@@ -3,12 +3,20 @@
 mod camera_toml;
 mod colmap;
 mod colmap_binary;
+mod colmap_model;
 mod colmap_text;
 mod dynamic3dgs;
 mod opencv_yaml;
 mod panoptic;
 mod poses_bounds;
 mod transforms;
+
+pub use camera_toml::FORMAT as TOML;
+pub use colmap::FORMAT as COLMAP;
+pub use opencv_yaml::FORMAT as EASYVOLCAP;
+pub use panoptic::FORMAT as PANOPTIC;
+pub use poses_bounds::FORMAT as N3DV;
+pub use transforms::FORMAT as TRANSFORMS;
 
 use crate::media::{is_footage, natural_order};
 use crate::{CalibrationError, Footage, SourceCamera};
@@ -33,15 +41,7 @@ pub struct Format {
 }
 
 /// All formats, in the order in which they are tried.
-pub const FORMATS: [Format; 7] = [
-    dynamic3dgs::FORMAT,
-    panoptic::FORMAT,
-    poses_bounds::FORMAT,
-    transforms::FORMAT,
-    opencv_yaml::FORMAT,
-    camera_toml::FORMAT,
-    colmap::FORMAT,
-];
+pub const FORMATS: [Format; 7] = [dynamic3dgs::FORMAT, PANOPTIC, N3DV, TRANSFORMS, EASYVOLCAP, TOML, COLMAP];
 
 /// The format called `name`, or the first that recognises the folder, and its calibration file.
 ///

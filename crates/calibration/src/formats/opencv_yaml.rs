@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Reads EasyMocap's and EasyVolcap's calibration.
-pub(super) const FORMAT: Format = Format {
+pub const FORMAT: Format = Format {
     name: "easyvolcap",
     looks_for: "intri.yml and extri.yml (EasyVolcap, EasyMocap)",
     find: |folder| file_called(folder, "intri.yml").filter(|f| f.with_file_name("extri.yml").is_file()),

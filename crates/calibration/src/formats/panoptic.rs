@@ -7,7 +7,7 @@ use serde::Deserialize;
 use std::path::Path;
 
 /// Reads the raw calibration of CMU Panoptic.
-pub(super) const FORMAT: Format = Format {
+pub const FORMAT: Format = Format {
     name: "panoptic",
     looks_for: "calibration_*.json (CMU Panoptic)",
     find: |folder| {

@@ -10,7 +10,7 @@ use glam::{DMat3, DMat4, DVec3};
 use std::path::Path;
 
 /// Reads N3DV's and LLFF's poses.
-pub(super) const FORMAT: Format = Format {
+pub const FORMAT: Format = Format {
     name: "n3dv",
     looks_for: "poses_bounds.npy (N3DV, LLFF)",
     find: |folder| file_called(folder, "poses_bounds.npy"),

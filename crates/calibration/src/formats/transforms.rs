@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Reads instant-ngp's and nerfstudio's camera lists.
-pub(super) const FORMAT: Format = Format {
+pub const FORMAT: Format = Format {
     name: "transforms",
     looks_for: "transforms.json (nerfstudio, instant-ngp)",
     find: |folder| file_called(folder, "transforms.json"),

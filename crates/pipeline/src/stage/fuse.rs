@@ -1,4 +1,4 @@
-//! `ffgs stage fuse`: Algorithm 1 to the letter, without structure between neighbours.
+//! `ffgs stage fuse`, in any configuration.
 
 use super::input::{ANY, Input, flat_matrices3, flat_points3, matrices3, points3};
 use anyhow::Result;
@@ -7,13 +7,13 @@ use ffgs_core::{EstimateStatus, Estimates};
 use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
 use glam::{DMat3, DVec3};
 
-pub(super) fn run(input: &Input) -> Result<NpzWriter> {
+pub(super) fn run(input: &Input, config: FusionConfig) -> Result<NpzWriter> {
     let prior_means = points3(&input.finite("prior_means", &[ANY, Some(3)])?.data);
     let n = prior_means.len();
     let shape = [Some(n), Some(3), Some(3)];
     let prior_covariances = matrices3(&input.finite("prior_covariances", &shape)?.data);
     let estimates = estimates(input, n)?;
-    let fused = InformationFuser { config: FusionConfig::literal() }.fuse(&FusionInput {
+    let fused = InformationFuser { config }.fuse(&FusionInput {
         prior_means: &prior_means,
         prior_covariances: &prior_covariances,
         estimates: &estimates,

@@ -3,7 +3,8 @@
 //! Inputs may be of any float width, integer type and byte order; arrays that a stage does not know are ignored.
 
 mod agreement;
-pub mod associate;
+mod associate;
+pub mod contributors;
 mod fuse;
 mod input;
 mod rasterize;
@@ -16,6 +17,7 @@ use crate::device::Device;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use ffgs_arrays::NpzWriter;
+use ffgs_fusion::FusionConfig;
 use input::Input;
 use std::path::Path;
 
@@ -27,8 +29,9 @@ pub enum Stage {
     Voronoi,
     /// Agreement between trackers: flow (L,H,W,2), confidence (L,H,W), magnitude_floor (px) -> confidence
     Agreement,
-    /// Motion to Gaussians: top_indices, top_weights (H,W,K), flow, confidence, mask (H,W), projected (N,2),
-    /// flow_floor (px) -> weight (L,N), target (L,N,2), coverage (N)
+    /// Motion to Gaussians: in_means, in_quats, in_log_scales, in_opacity_logits, in_sh, in_viewmat, in_K, width, height, flow
+    /// (L,H,W,2), confidence (L,H,W), mask (H,W) -> weight (L,N), target (L,N,2). To the letter: top_indices, top_weights
+    /// (H,W,K), flow, confidence, mask, projected (N,2), flow_floor (px) -> also coverage (N)
     Associate,
     /// Displaced projections to positions: means (N,3), targets (V,N,2), weights (V,N), intrinsics (V,4),
     /// camera_from_world (V,4,4) -> means, covariances, valid
@@ -42,15 +45,26 @@ pub enum Stage {
     /// Gaussians to an image, and its gradients: in_means, in_quats, in_log_scales, in_opacity_logits, in_sh,
     /// in_viewmat, in_K, in_background, width, height, sh_degree, antialiased, w_rgb, w_alpha -> image, alpha, grad_*
     Rasterize,
-    /// Similarity of images: img1, img2 (C,H,W) -> same_*, valid_*, loss3dgs_* (value, map, grad)
+    /// Similarity of images: img1, img2 (3,H,W) -> ssim, loss, loss_grad. To the letter: img1, img2 (C,H,W) -> same_*, valid_*,
+    /// loss3dgs_* (value, map, grad)
     Ssim,
+}
+
+/// Whether a stage does what a run does with the default settings, or what the paper says to the letter. They differ for
+/// [`Stage::Associate`], [`Stage::Fuse`] and [`Stage::Ssim`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// As a run.
+    Run,
+    /// To the letter, and for SSIM in f64.
+    Literal,
 }
 
 /// Runs one stage on the arrays of `input` and writes its results to `output` (.npz), whole or not at all.
 ///
 /// # Errors
 /// Names the file and the array that cannot be used, or the device that cannot run the stage.
-pub fn run(stage: Stage, input: &Path, output: &Path, device: &Device) -> Result<()> {
+pub fn run(stage: Stage, form: Form, input: &Path, output: &Path, device: &Device) -> Result<()> {
     if stage != Stage::Rasterize && matches!(device, Device::Gpu(_)) {
         bail!("--device: stage {stage:?} runs on the CPU only; rasterize runs on a GPU");
     }
@@ -58,11 +72,14 @@ pub fn run(stage: Stage, input: &Path, output: &Path, device: &Device) -> Result
     let results: Result<NpzWriter> = match stage {
         Stage::Voronoi => voronoi::run(&arrays),
         Stage::Agreement => agreement::run(&arrays),
+        Stage::Associate if form == Form::Literal => contributors::run(&arrays),
         Stage::Associate => associate::run(&arrays),
         Stage::Triangulate => triangulate::run(&arrays),
-        Stage::Fuse => fuse::run(&arrays),
+        Stage::Fuse if form == Form::Literal => fuse::run(&arrays, FusionConfig::literal()),
+        Stage::Fuse => fuse::run(&arrays, FusionConfig::default()),
         Stage::Validate => validate::run(&arrays),
         Stage::Rasterize => rasterize::run(&arrays, device),
+        Stage::Ssim if form == Form::Literal => ssim::run_literal(&arrays),
         Stage::Ssim => ssim::run(&arrays),
     };
     results.with_context(|| format!("stage {stage:?} on {}", input.display()))?.write(output)?;

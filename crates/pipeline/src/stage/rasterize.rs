@@ -51,7 +51,7 @@ fn on_cpu(
     Rendered { image: tape.image().clone(), transmittance: tape.transmittance().to_vec() }
 }
 
-fn gaussians(input: &Input) -> Result<Gaussians> {
+pub(super) fn gaussians(input: &Input) -> Result<Gaussians> {
     let means = input.finite::<f32>("in_means", &[ANY, Some(3)])?;
     let n = means.shape[0];
     let sh = input.finite::<f32>("in_sh", &[Some(n), ANY, Some(3)])?;
@@ -68,7 +68,7 @@ fn gaussians(input: &Input) -> Result<Gaussians> {
     Ok(out)
 }
 
-fn read_camera(input: &Input) -> Result<Camera> {
+pub(super) fn read_camera(input: &Input) -> Result<Camera> {
     let width = i64::try_from(input.count("width")?)?;
     let size = input.image_size("height", i64::try_from(input.count("height")?)?, width)?;
     let k = input.finite::<f64>("in_K", &[Some(3), Some(3)])?.data;

@@ -1,20 +1,41 @@
-use crate::{LoadStats, PixelCenter, TracksError};
+//! Correspondences of sparse and semi-dense trackers.
+
+use crate::error::TracksError;
 use ffgs_arrays::{Array, NpzFile};
-use ffgs_core::{ImageSize, TrackSet};
+use ffgs_core::{ImageSize, TrackSet, ViewMotion};
+use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::path::Path;
 
-/// Most correspondences: so many a pixel, and for small images so many besides.
-const MAX_ROWS_A_PIXEL: usize = 4;
+/// Most correspondences: so many per pixel, and for small images so many besides.
+const MAX_ROWS_PER_PIXEL: usize = 4;
 const MAX_ROWS_BESIDES: usize = 1 << 16;
 
-/// Reads correspondences; rows that are not finite are dropped and counted. `size` is the camera's image size.
-pub(crate) fn read(
-    file: &Path,
-    size: ImageSize,
-    center: PixelCenter,
-    stats: &mut LoadStats,
-) -> Result<TrackSet, TracksError> {
-    let most = MAX_ROWS_A_PIXEL * size.pixels() + MAX_ROWS_BESIDES;
+/// Correspondences in a numpy archive.
+pub(crate) struct Npz;
+
+impl Plugin for Npz {
+    fn name(&self) -> &'static str {
+        "npz"
+    }
+
+    fn summary(&self) -> &'static str {
+        "correspondences: src, tgt (N, 2) px, optional visibility, score (N)"
+    }
+}
+
+impl TrackFormat for Npz {
+    fn is_dense(&self) -> bool {
+        false
+    }
+
+    fn read(&self, file: &Path, size: ImageSize, center: PixelCenter) -> Result<Tracked, Fault> {
+        read(file, size, center).map_err(|error| error.in_file(file))
+    }
+}
+
+/// Rows that are not finite are dropped and counted.
+fn read(file: &Path, size: ImageSize, center: PixelCenter) -> Result<Tracked, TracksError> {
+    let most = MAX_ROWS_PER_PIXEL * size.pixels() + MAX_ROWS_BESIDES;
     let npz = NpzFile::open_within(file, most * size_of::<[f64; 2]>())?;
     let positions = |name: &str| npz.shaped::<f32>(name, &[None, Some(2)]);
     let (src, tgt) = (positions("src")?, positions("tgt")?);
@@ -32,14 +53,13 @@ pub(crate) fn read(
             out.visibility.push(visible.clamp(0.0, 1.0));
         }
     }
-    stats.read += src.shape[0];
-    stats.dropped += src.shape[0] - out.src.len();
-    Ok(out)
+    let (read, kept) = (src.shape[0], out.src.len());
+    Ok(Tracked { motion: ViewMotion::Tracks(out), read, dropped: read - kept })
 }
 
 /// The one place where a tracker's pixel convention becomes ours (centre of the first pixel at (0.5, 0.5)).
 /// Displacements are the same in both.
-pub(crate) fn to_half_centers([x, y]: [f32; 2], center: PixelCenter) -> [f32; 2] {
+fn to_half_centers([x, y]: [f32; 2], center: PixelCenter) -> [f32; 2] {
     match center {
         PixelCenter::Integer => [x + 0.5, y + 0.5],
         PixelCenter::Half => [x, y],

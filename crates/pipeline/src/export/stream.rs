@@ -1,13 +1,14 @@
 //! `ffgs export --to stream` and `--to site`: a run as a 4D stream.
 
-use crate::cli::FrameRange;
-use crate::export::{Axes, ExportArgs, chosen};
+use super::args::ExportArgs;
+use super::axes::{Axes, chosen};
+use crate::cameras::Views;
+use crate::finished_run::FinishedRun;
+use crate::json::write_json;
 use crate::measure::{Measurement, Shown, measure, table};
 use crate::page::write_page;
-use crate::record::write_json;
-use crate::render::{FinishedRun, progress};
-use crate::terminal;
-use crate::view::Views;
+use crate::request::FrameRange;
+use crate::terminal::{self, progress};
 use anyhow::{Result, bail};
 use ffgs_core::Scene;
 use ffgs_splats::{Panorama, encode_sky_equirectangular};

@@ -1,19 +1,46 @@
-use crate::TracksError;
-use crate::dense::RawFlow;
-use exr::meta::MetaData;
-use exr::prelude::{FlatImage, FlatSamples, ReadChannels, ReadLayers, read};
+//! Optical flow in OpenEXR images, as renderers write it.
+
+use crate::error::TracksError;
+use crate::flow::RawFlow;
+use ::exr::meta::MetaData;
+use ::exr::prelude::{FlatImage, FlatSamples, ReadChannels, ReadLayers, read as read_image};
 use ffgs_core::{ImageSize, open_input};
+use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::io::{BufReader, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-/// Bytes a pixel of all layers and channels together: the reader unpacks them all, and a renderer may have written
+/// Bytes per pixel of all layers and channels together: the reader unpacks them all, and a renderer may have written
 /// many beside the flow.
-const MAX_BYTES_A_PIXEL: usize = 256;
+const MAX_BYTES_PER_PIXEL: usize = 256;
+
+/// Flow in an OpenEXR image.
+pub(crate) struct Exr;
+
+impl Plugin for Exr {
+    fn name(&self) -> &'static str {
+        "exr"
+    }
+
+    fn summary(&self) -> &'static str {
+        "optical flow in the channels U, V of an OpenEXR image"
+    }
+}
+
+impl TrackFormat for Exr {
+    fn is_dense(&self) -> bool {
+        true
+    }
+
+    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
+        let tracked = read(file, size).and_then(|flow| flow.into_motion(file, size));
+        tracked.map_err(|error| error.in_file(file))
+    }
+}
 
 /// Reads the channels U, V (any case, f16, f32 or u32; also `LAYER.U`) of an OpenEXR image. Another size than
 /// `expected` is refused from the header.
-pub(crate) fn read_exr(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
+fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
     let io = |source| TracksError::Io { file: file.to_owned(), source };
     let fail = |reason: String| TracksError::Flow { file: file.to_owned(), reason };
     let mut opened = BufReader::new(open_input(file).map_err(io)?);
@@ -40,7 +67,7 @@ fn judge(opened: &mut BufReader<std::fs::File>, expected: ImageSize) -> Result<I
         sum.checked_add(pixels.checked_mul(header.channels.bytes_per_pixel)?)
     });
     let size = ImageSize { width: first.0, height: first.1 };
-    let most = expected.pixels().saturating_mul(MAX_BYTES_A_PIXEL);
+    let most = expected.pixels().saturating_mul(MAX_BYTES_PER_PIXEL);
     if size == expected && bytes.is_none_or(|bytes| bytes > most) {
         let channels: usize = meta.headers.iter().map(|h| h.channels.list.len()).sum();
         return Err(format!("{channels} channels in all are more than a flow's file has; keep U and V"));
@@ -51,7 +78,7 @@ fn judge(opened: &mut BufReader<std::fs::File>, expected: ImageSize) -> Result<I
 /// Reads every layer and takes the flow's channels.
 fn decode(opened: BufReader<std::fs::File>) -> Result<RawFlow, String> {
     let reader =
-        read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
+        read_image().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
     // Single-threaded: views are read in parallel.
     let image: FlatImage = reader.non_parallel().from_buffered(opened).map_err(|e| e.to_string())?;
     flow_of(&image)

@@ -1,0 +1,24 @@
+//! `ffgs export`: a finished run as files for players.
+
+mod args;
+mod axes;
+mod files;
+pub(crate) mod stream;
+
+pub use args::{ExportArgs, Layer};
+
+use anyhow::Result;
+use args::{SITE, STREAM};
+use ffgs_splats::FORMATS;
+
+/// Writes the export.
+///
+/// # Errors
+/// When the run cannot be read, the folder holds another export, or a file cannot be written.
+pub fn export(args: &ExportArgs) -> Result<()> {
+    let out = args.out.clone().unwrap_or_else(|| args.run.join("export").join(&args.to));
+    if args.to == STREAM || args.to == SITE {
+        return stream::export_stream(args, &out, args.to == SITE);
+    }
+    files::export_files(args, FORMATS.find(&args.to)?, out)
+}

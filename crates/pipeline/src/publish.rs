@@ -1,0 +1,60 @@
+//! `metrics.json` and `report.html`.
+
+use crate::folder::RunFolder;
+use crate::json::{read_json, write_json};
+use crate::manifest::Manifest;
+use crate::record::{FrameRecord, Metrics, ViewMetrics};
+use anyhow::{Context, Result};
+use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, ViewReport};
+use std::collections::BTreeMap;
+
+/// Writes `metrics.json` and `report.html`. The report copies the encoded pictures of each frame from its folder.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Result<()> {
+    let mut facts = manifest.facts();
+    write_json(&folder.0.join("metrics.json"), metrics)?;
+    let mut skips = BTreeMap::<String, u64>::new();
+    for (what, count) in metrics.frames.iter().flat_map(|f| &f.log.skips) {
+        *skips.entry(what.clone()).or_default() += count;
+    }
+    if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
+        facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
+    }
+    let scored = folder.motion_accuracy();
+    let input = ReportInput {
+        motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },
+        title: format!("fastflowgs: {}", manifest.capture),
+        configuration: manifest.config.to_toml()?,
+        facts,
+        frames: metrics.frames.iter().map(|f| frame_report(folder, f)).collect(),
+        skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
+        warnings: metrics
+            .frames
+            .iter()
+            .flat_map(|f| f.log.warnings.iter().map(|w| format!("frame {}: {w}", f.frame)))
+            .collect(),
+    };
+    let report = folder.0.join("report.html");
+    ffgs_report::write_report(&report, &input).with_context(|| format!("cannot write {}", report.display()))
+}
+
+fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
+    let view = |v: &ViewMetrics| ViewReport {
+        name: v.camera.clone(),
+        psnr: Some(v.psnr),
+        mpsnr: v.mpsnr,
+        ssim: Some(v.ssim),
+    };
+    FrameReport {
+        index: f.frame,
+        views: f.views.iter().map(view).collect(),
+        initial_mpsnr: f.initial_mpsnr,
+        static_gaussians: f.static_gaussians,
+        dynamic_gaussians: f.dynamic_gaussians,
+        bytes: f.bytes,
+        seconds: f.log.seconds.clone(),
+        pictures: Some(folder.pictures(f.frame)).filter(|path| path.exists()),
+    }
+}
