@@ -6,6 +6,7 @@
 
 mod case;
 mod compare;
+pub mod conformance;
 mod random;
 mod scene;
 mod vectorised;

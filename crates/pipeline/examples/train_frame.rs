@@ -1,0 +1,32 @@
+//! Trains the first frame of a capture and writes it as a PLY:
+//! `cargo run --release --example train_frame -- CAPTURE OUT.ply [ITERATIONS]`
+
+use anyhow::{Context, Result, bail};
+use ffgs_core::SkyCube;
+use ffgs_method::RenderMode;
+use ffgs_pipeline::{frame::load_training, frame::select_views, registry::open_capture};
+use ffgs_trainer::{FirstFrameConfig, INITIAL_OPACITY, from_points, robust_extent, train_first_frame};
+use std::path::Path;
+
+fn main() -> Result<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let (capture, out, iterations) = match words.as_slice() {
+        [capture, out] => (capture, out, 200),
+        [capture, out, iterations] => (capture, out, iterations.parse()?),
+        _ => bail!("CAPTURE OUT.ply [ITERATIONS]"),
+    };
+    let capture = open_capture(Path::new(capture))?;
+    let views = load_training(&*capture, &select_views(&*capture, None)?, 0)?;
+    let points = capture.points()?.context("the capture has no initial points")?;
+    let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
+    let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);
+    let extent = robust_extent(&gaussians);
+    let sky = SkyCube::filled(64, [0.5; 3]);
+    let trained = train_first_frame(&config, &views, gaussians, sky, extent, 1, &mut |step| {
+        if step.iteration % 50 == 0 {
+            println!("step {}: PSNR {:.2} dB, {} Gaussians", step.iteration, step.psnr, step.gaussians);
+        }
+    });
+    ffgs_splats::write_ply(Path::new(out), &trained.gaussians, None, RenderMode::Mip)?;
+    Ok(())
+}
