@@ -31,6 +31,9 @@ pub struct Capture {
 
 impl Capture {
     /// Reads the camera lists of the capture in `root`. Cameras that are none are reported when asked for.
+    ///
+    /// # Errors
+    /// When a camera list is missing or damaged, or the splits differ in their frames.
     pub fn open(root: &Path) -> Result<Self, DatasetError> {
         if !root.is_dir() {
             return Err(DatasetError::io(
@@ -78,6 +81,9 @@ impl Capture {
     }
 
     /// The camera of a view at a frame.
+    ///
+    /// # Errors
+    /// When it is no camera, or the capture has no such view at that frame.
     pub fn camera(&self, split: Split, view: usize, frame: usize) -> Result<Camera, DatasetError> {
         let entry = self.entry(split, view, frame)?;
         entry.camera().map_err(|source| DatasetError::Camera {
@@ -89,16 +95,25 @@ impl Capture {
     }
 
     /// Path of a view's image.
+    ///
+    /// # Errors
+    /// When the capture has no such view at that frame.
     pub fn image_path(&self, split: Split, view: usize, frame: usize) -> Result<PathBuf, DatasetError> {
         Ok(self.root.join("ims").join(&self.entry(split, view, frame)?.file_name))
     }
 
     /// Path of a view's mask, which need not exist (always .png, as Dynamic3DGaussians stores it).
+    ///
+    /// # Errors
+    /// When the capture has no such view at that frame.
     pub fn mask_path(&self, split: Split, view: usize, frame: usize) -> Result<PathBuf, DatasetError> {
         Ok(self.root.join("seg").join(&self.entry(split, view, frame)?.file_name).with_extension("png"))
     }
 
     /// Reads an image of the size of its camera.
+    ///
+    /// # Errors
+    /// When it is missing, damaged or of another size, or the capture has no such view at that frame.
     pub fn load_image(&self, split: Split, view: usize, frame: usize) -> Result<ImageRgb8, DatasetError> {
         let size = self.camera(split, view, frame)?.size();
         pixels::read_image(&self.image_path(split, view, frame)?, size)
@@ -114,6 +129,9 @@ impl Capture {
     }
 
     /// Reads a foreground mask of the size of its camera; `None` when the capture has no mask for this image.
+    ///
+    /// # Errors
+    /// When there is one that is damaged or of another size, or the capture has no such view at that frame.
     pub fn load_mask(&self, split: Split, view: usize, frame: usize) -> Result<Option<Mask>, DatasetError> {
         let size = self.camera(split, view, frame)?.size();
         let path = self.mask_path(split, view, frame)?;
@@ -121,6 +139,9 @@ impl Capture {
     }
 
     /// Reads the initial points; non-finite ones are dropped and counted in [`Points::dropped`].
+    ///
+    /// # Errors
+    /// When the file is missing or damaged.
     pub fn initial_points(&self) -> Result<Points, DatasetError> {
         points::read(&self.points_path())
     }

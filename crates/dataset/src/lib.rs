@@ -10,6 +10,8 @@
 //!
 //! Architecture invariant: nothing is cached; an image is read when asked for and kept as u8.
 
+#![warn(clippy::missing_errors_doc)]
+
 mod capture;
 mod check;
 mod error;

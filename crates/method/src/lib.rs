@@ -13,6 +13,8 @@
 //!
 //! An error of a format is a [`Fault`]: it names the file and what to do about it.
 
+#![warn(clippy::missing_errors_doc)]
+
 mod capture;
 mod fault;
 mod motion;

@@ -10,6 +10,8 @@
 //! A file of frame t holds the motion from t-1 to t. Motion leaves this crate in continuous pixel coordinates with
 //! pixel centres at + 0.5, finite, and of the size of its camera.
 
+#![warn(clippy::missing_errors_doc)]
+
 mod check;
 mod error;
 mod exr;
