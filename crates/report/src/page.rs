@@ -5,7 +5,7 @@ use crate::{FrameReport, ReportError, ReportInput, ViewReport, picture};
 use ffgs_core::{read_text, write_atomically};
 use minijinja::Environment;
 use serde::Serialize;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::Path;
 
 const TEMPLATE: &str = include_str!("../templates/report.html");
