@@ -13,7 +13,7 @@ const METAS: [(&str, &[usize]); 3] =
     [("train_meta.json", &[0, 4, 8]), ("test_meta.json", &[0]), ("init_meta.json", &[0])];
 
 /// Writes the cut into `to`, which must not exist. More frames than the sample has show its frames again, in turn; tracks go by
-/// the names of images, and there are none to a first frame.
+/// the names of images.
 pub fn cut(root: &Path, to: &Path, frames: usize) -> Result<()> {
     let sample = root.join(SAMPLE);
     let mut cameras = Vec::new();
@@ -49,6 +49,16 @@ fn copy_tracks(sample: &Path, to: &Path, cameras: &[String]) -> Result<()> {
     let index = to.join("tracks/tracks.json");
     let text = fs::read_to_string(&index)?.replace("{frame:06}", "{stem}");
     fs::write(index, text).context("cannot write tracks.json")
+}
+
+/// Tracks from the sample's last frame to its first, which it does not have: those from the first to the second. They are wrong,
+/// which is no matter where only bytes are compared.
+pub fn close_circle(capture: &Path) -> Result<()> {
+    let second = |file: &PathBuf| file.file_stem().is_some_and(|stem| stem == "000001");
+    files(&capture.join("tracks"))?.iter().filter(|file| second(file)).try_for_each(|file| {
+        let ending = file.extension().unwrap_or_default().to_string_lossy().into_owned();
+        copy(file, &file.with_file_name(format!("000000.{ending}")))
+    })
 }
 
 /// Every file below a folder, in order.

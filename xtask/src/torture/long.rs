@@ -18,6 +18,7 @@ pub fn killed_a_hundred_times(case: &mut Case) -> Result<()> {
     let folder = case.path("long");
     let [capture, whole, killed] = ["capture", "whole", "killed"].map(|name| folder.join(name));
     capture::cut(&laboratory.root, &capture, FRAMES)?;
+    capture::close_circle(&capture)?;
     let start = Instant::now();
     let output = case.started("", &run_words(&capture, &whole, &[])).output()?;
     ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
