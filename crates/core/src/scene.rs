@@ -1,11 +1,13 @@
 use crate::{Gaussians, SkyCube};
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 /// The scene at one frame: two layers of Gaussians before a sky.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Stands still; only its colour changes.
-    pub static_layer: Gaussians,
+    /// Stands still; only its colour changes. Shared, so that a device that holds it knows it again: who changes it
+    /// (`Arc::make_mut`) makes another one.
+    pub static_layer: Arc<Gaussians>,
     /// Moves every frame.
     pub dynamic: Dynamic,
     /// At infinity.
@@ -16,7 +18,7 @@ impl Scene {
     /// Both layers, the static one first.
     #[must_use]
     pub fn joint(&self) -> Gaussians {
-        let mut joint = self.static_layer.clone();
+        let mut joint = Gaussians::clone(&self.static_layer);
         joint.extend(&self.dynamic.gaussians);
         joint
     }

@@ -68,8 +68,15 @@ impl<'a> Commands<'a> {
 
     /// Copies the first `bytes` (a multiple of 4) of one buffer over another's.
     pub fn copy(&mut self, from: &Buffer, to: &Buffer, bytes: u64) {
-        self.pass = None;
-        self.encoder.copy_buffer_to_buffer(&from.0, 0, &to.0, 0, bytes);
+        self.copy_to(from, to, 0, bytes);
+    }
+
+    /// Likewise, to byte `at` (a multiple of 4) of the other.
+    pub fn copy_to(&mut self, from: &Buffer, to: &Buffer, at: u64, bytes: u64) {
+        if bytes > 0 {
+            self.pass = None;
+            self.encoder.copy_buffer_to_buffer(&from.0, 0, &to.0, at, bytes);
+        }
     }
 
     /// Writes the first `count` timestamps of a set to a buffer.

@@ -19,6 +19,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Where the Gaussians are at the start of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -67,7 +68,7 @@ pub struct Evaluation {
     places: Places,
     run: Option<RunFolder>,
     /// Frame 0: the moving Gaussians, the rest.
-    start: (Gaussians, Gaussians),
+    start: (Gaussians, Arc<Gaussians>),
 }
 
 /// What a frame's initialisation hands to the next one; empty before the first.
@@ -115,7 +116,7 @@ impl Evaluation {
     }
 
     /// The layers at the start of a frame.
-    fn layers(&self, frame: usize) -> Result<(Gaussians, Gaussians)> {
+    fn layers(&self, frame: usize) -> Result<(Gaussians, Arc<Gaussians>)> {
         if let (Places::Run, Some(run)) = (self.places, &self.run) {
             let scene = state::load(&run.state(frame - 1), frame - 1)?;
             return Ok((scene.dynamic.gaussians, scene.static_layer));
@@ -205,13 +206,13 @@ impl Evaluation {
 
 /// The capture's initial foreground points as opaque Gaussians, and nothing around them: gross errors among the
 /// background points would hide what moves.
-fn initial_points(capture: &dyn Capture) -> Result<(Gaussians, Gaussians)> {
+fn initial_points(capture: &dyn Capture) -> Result<(Gaussians, Arc<Gaussians>)> {
     /// The points lie on the surfaces, so that nothing shines through them.
     const OPACITY: f32 = 0.9;
     let points = capture.points()?.context("the capture has no initial points")?;
     let all = from_points(&points.positions, &points.colours, 0, OPACITY);
     let moving: Vec<usize> = (0..all.len()).filter(|&i| points.foreground[i]).collect();
-    Ok((all.select(&moving), all.select(&[])))
+    Ok((all.select(&moving), Arc::new(all.select(&[]))))
 }
 
 /// Moves Gaussian `i` rigidly.

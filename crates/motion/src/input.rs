@@ -1,8 +1,9 @@
 use crate::MotionConfig;
 use ffgs_core::Gaussians;
-use ffgs_gpu::Gpu;
 use ffgs_method::{Step, TrackSource};
+use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
+use std::sync::Arc;
 
 /// What the stages of one frame read.
 pub struct MotionInput<'a> {
@@ -13,9 +14,9 @@ pub struct MotionInput<'a> {
     /// Trackers used.
     pub trackers: Vec<&'a dyn TrackSource>,
     /// The static layer, which hides parts of the dynamic one.
-    pub static_layer: &'a Gaussians,
+    pub static_layer: &'a Arc<Gaussians>,
     /// Positions of the dynamic layer at t - 1 (m).
     pub previous: &'a [DVec3],
     /// Where motion fields and association are computed; `None` = the CPU.
-    pub gpu: Option<&'a Gpu>,
+    pub gpu: Option<&'a SceneDevice>,
 }

@@ -3,17 +3,17 @@
 
 use crate::MotionInput;
 use crate::fields::{count, load};
-use crate::observe::{rows, shapes};
+use crate::observe::rows;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Observations, StageLog, ViewMotion};
 use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::ViewFields;
 use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
-use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes};
+use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes, SceneDevice};
 use std::time::Instant;
 
 /// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
-pub(crate) fn device<'a>(input: &MotionInput<'a>, log: &mut StageLog) -> Option<&'a Gpu> {
+pub(crate) fn device<'a>(input: &MotionInput<'a>, log: &mut StageLog) -> Option<&'a SceneDevice> {
     if input.gpu.is_some() && input.config.association.contributors > 0 {
         log.warn("association.contributors: association and motion fields are left to the CPU");
         return None;
@@ -24,14 +24,16 @@ pub(crate) fn device<'a>(input: &MotionInput<'a>, log: &mut StageLog) -> Option<
 /// What every tracker says of every Gaussian of `gaussians` in every view. The device works on while the host loads the
 /// next file: the time of association holds what the fields still cost.
 pub(crate) fn observe(
-    gpu: &Gpu,
+    device: &SceneDevice,
     input: &MotionInput,
     gaussians: &Gaussians,
     log: &mut StageLog,
 ) -> Result<Vec<Observations>> {
     let unobserved = || Observations::unobserved(input.step.before.len(), gaussians.len());
     let mut observations: Vec<_> = input.trackers.iter().map(|_| unobserved()).collect();
-    let scene = GpuScene::upload(gpu, &shapes(gaussians, input.static_layer))?;
+    let gpu = &device.gpu;
+    let moving = GpuScene::upload(gpu, gaussians)?;
+    let scene = GpuScene::joined(gpu, &[&moving, &device.layer(input.static_layer)?])?;
     let options = RenderOptions { antialiased: true, sh_degree: Some(0) };
     let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
     for (v, mut rows) in rows(&mut observations).into_iter().enumerate() {
@@ -121,14 +123,15 @@ mod tests {
     use ffgs_dataset::Dynamic3dGaussians;
     use ffgs_method::{Capture, CaptureFormat, Split, Step, TrackSource, ViewAt};
     use std::path::Path;
+    use std::sync::Arc;
 
     /// The initial points of the sample near its first car as Gaussians, and everything else as the static layer.
-    fn layers(capture: &dyn Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Gaussians) {
+    fn layers(capture: &dyn Capture, inside: impl Fn(glam::DVec3) -> bool) -> (Gaussians, Arc<Gaussians>) {
         let points = capture.points().unwrap().unwrap();
         let all = ffgs_trainer::from_points(&points.positions, &points.colours, 0, 0.9);
         let places = all.positions();
         let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..all.len()).partition(|&i| inside(places[i]));
-        (all.select(&moving), all.select(&fixed))
+        (all.select(&moving), Arc::new(all.select(&fixed)))
     }
 
     fn view(capture: &dyn Capture, view: usize, frame: usize) -> TrainingView {
@@ -141,7 +144,7 @@ mod tests {
     #[test]
     #[ignore = "needs a GPU"]
     fn observations_agree_with_the_cpu_on_the_sample() {
-        let gpu = Gpu::for_test();
+        let device = SceneDevice::new(Gpu::for_test());
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
         let capture = Dynamic3dGaussians.open(&path).unwrap();
         let tracks = ffgs_tracks::sources(&*capture).unwrap();
@@ -171,10 +174,10 @@ mod tests {
             trackers: trackers(),
             static_layer: &fixed,
             previous: &previous,
-            gpu: Some(&gpu),
+            gpu: Some(&device),
         };
         assert!(
-            device(&input, &mut StageLog::default()).is_some() && moving.len() > 100,
+            super::device(&input, &mut StageLog::default()).is_some() && moving.len() > 100,
             "{} Gaussians",
             moving.len()
         );
@@ -182,10 +185,10 @@ mod tests {
         limited.association.contributors = 16;
         let (limited, mut warned) =
             (MotionInput { config: &limited, trackers: trackers(), ..input }, StageLog::default());
-        assert!(device(&limited, &mut warned).is_none() && warned.warnings.len() == 1);
+        assert!(super::device(&limited, &mut warned).is_none() && warned.warnings.len() == 1);
         let mut log = StageLog::default();
         let expected = crate::observe(&input, &moving, &mut log, &mut |_, _| {}).unwrap();
-        let found = observe(&gpu, &input, &moving, &mut log).unwrap();
+        let found = observe(&device, &input, &moving, &mut log).unwrap();
         assert_eq!(found.len(), expected.len());
         for (l, (found, expected)) in found.iter().zip(&expected).enumerate() {
             let seen = |o: &Observations| o.weights.iter().filter(|w| **w > 0.0).count();

@@ -1,8 +1,8 @@
 use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
-use ffgs_gpu::Gpu;
 use ffgs_method::{MotionMethod, Step, TrackSource};
+use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
 
 /// Moves the dynamic layer by what the trackers saw: by all of them fused, or by one alone.
@@ -12,7 +12,7 @@ pub struct TrackerMotion<'a> {
     /// The one tracker that is used, by name; `None` = all.
     pub only: Option<String>,
     /// Where motion fields and association are computed; `None` = the CPU.
-    pub gpu: Option<&'a Gpu>,
+    pub gpu: Option<&'a SceneDevice>,
 }
 
 impl MotionMethod for TrackerMotion<'_> {

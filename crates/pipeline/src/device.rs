@@ -3,6 +3,7 @@
 use crate::terminal;
 use anyhow::Result;
 use ffgs_gpu::Gpu;
+use ffgs_rasterizer_gpu::SceneDevice;
 use std::str::FromStr;
 
 /// Where to compute.
@@ -34,8 +35,8 @@ impl FromStr for Device {
 
 impl Device {
     /// Opens the GPUs; none = compute on the CPU. A GPU that was asked for and cannot be opened is an error.
-    pub fn open(&self) -> Result<Vec<Gpu>> {
-        let gpus = match self {
+    pub fn open(&self) -> Result<Vec<SceneDevice>> {
+        let gpus: Vec<Gpu> = match self {
             Self::Cpu => Vec::new(),
             Self::Auto => ffgs_gpu::hardware_adapters().into_iter().filter_map(open_or_warn).collect(),
             Self::Gpu(indices) if indices.is_empty() => vec![Gpu::open(None)?],
@@ -47,7 +48,7 @@ impl Device {
         if gpus.is_empty() {
             tracing::info!("computing on the CPU");
         }
-        Ok(gpus)
+        Ok(gpus.into_iter().map(SceneDevice::new).collect())
     }
 }
 
@@ -56,8 +57,8 @@ fn open_or_warn(index: usize) -> Option<Gpu> {
 }
 
 /// Name of what computes, for the record of a run: results are the same on equal devices only, however many.
-pub(crate) fn name(gpus: &[Gpu]) -> String {
-    let mut names: Vec<&str> = gpus.iter().map(|gpu| gpu.report().name.as_str()).collect();
+pub(crate) fn name(gpus: &[SceneDevice]) -> String {
+    let mut names: Vec<&str> = gpus.iter().map(|device| device.gpu.report().name.as_str()).collect();
     names.dedup();
     if names.is_empty() { "cpu".to_owned() } else { format!("gpu, {}", names.join(" + ")) }
 }

@@ -1,34 +1,26 @@
 //! Training and rendering on the device of a run: each function has a CPU and a GPU twin.
 
 use anyhow::Result;
-use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube, TrainingView};
-use ffgs_gpu::Gpu;
+use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
-use ffgs_rasterizer_gpu::GpuRasterizer;
+use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Progress, SkyView, StaticLane,
-    StaticMethod, Surroundings,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, Progress,
+    SkyView, StaticLane, Surroundings, train_dynamic, train_first_frame, train_sky,
 };
+use ffgs_trainer_gpu::GpuBackend;
+use std::sync::Arc;
 
 /// Where lanes run: dealt over GPUs, dynamic, static, sky; none = the CPU. Everything else is done by the first.
 #[derive(Clone, Copy)]
-pub(crate) struct Lanes<'a>(pub &'a [Gpu]);
-
-/// What the static lane compares with.
-#[derive(Clone, Copy)]
-pub(crate) struct Photographed<'a> {
-    /// Photographs and masks.
-    pub views: &'a [TrainingView],
-    /// What shows behind the layer.
-    pub sky: &'a SkyCube,
-}
+pub(crate) struct Lanes<'a>(pub &'a [SceneDevice]);
 
 /// What is told after a step.
 type Report<'a> = &'a mut dyn FnMut(Progress);
 
 impl<'a> Lanes<'a> {
     /// The GPU of a lane: 0 = dynamic, 1 = static, 2 = sky.
-    fn gpu(self, lane: usize) -> Option<&'a Gpu> {
+    fn gpu(self, lane: usize) -> Option<&'a SceneDevice> {
         self.0.get(lane.checked_rem(self.0.len())?)
     }
 
@@ -62,18 +54,9 @@ impl<'a> Lanes<'a> {
         seed: u64,
         report: Report,
     ) -> Result<FirstFrame> {
-        let FirstFrame { gaussians, sky } = start;
         Ok(match self.gpu(0) {
-            None => ffgs_trainer::train_first_frame(config, views, gaussians, sky, extent, seed, report),
-            Some(gpu) => ffgs_trainer_gpu::train_first_frame(
-                gpu,
-                config,
-                views,
-                FirstFrame { gaussians, sky },
-                extent,
-                seed,
-                report,
-            )?,
+            None => train_first_frame(&CpuBackend, config, views, start, extent, seed, report)?,
+            Some(gpu) => train_first_frame(&GpuBackend(gpu), config, views, start, extent, seed, report)?,
         })
     }
 
@@ -88,34 +71,25 @@ impl<'a> Lanes<'a> {
         report: Report,
     ) -> Result<()> {
         match self.gpu(0) {
-            None => ffgs_trainer::train_dynamic(config, views, around, layer, seed, report),
-            Some(gpu) => {
-                if around.prior.is_some() {
-                    tracing::warn!(
-                        "the GPU's dynamic lane does not use what earlier frames know (dynamic.prior_weight)"
-                    );
-                }
-                ffgs_trainer_gpu::train_dynamic(gpu, config, views, around, layer, seed, report)?;
-            }
+            None => train_dynamic(&CpuBackend, config, views, around, layer, seed, report)?,
+            Some(gpu) => train_dynamic(&GpuBackend(gpu), config, views, around, layer, seed, report)?,
         }
         Ok(())
     }
 
-    /// The static layer's colours. The linear solve has no GPU twin: it runs on the CPU beside the other lanes.
+    /// The static layer's colours.
     pub fn static_layer(
         self,
         lane: &mut StaticLane,
         config: &BackgroundConfig,
-        Photographed { views, sky }: Photographed,
-        layer: &mut Gaussians,
+        photographed: Photographed,
+        layer: &mut Arc<Gaussians>,
         seed: u64,
         report: Report,
     ) -> Result<()> {
         match self.gpu(1) {
-            Some(gpu) if config.static_method == StaticMethod::Steps => {
-                ffgs_trainer_gpu::train_static(gpu, config, views, sky, layer, seed, report)?;
-            }
-            _ => lane.train(config, views, sky, layer, seed, report),
+            None => lane.train(&CpuBackend, config, photographed, layer, seed, report)?,
+            Some(gpu) => lane.train(&GpuBackend(gpu), config, photographed, layer, seed, report)?,
         }
         Ok(())
     }
@@ -125,35 +99,35 @@ impl<'a> Lanes<'a> {
         self,
         config: &BackgroundConfig,
         views: &[TrainingView],
-        layer: &Gaussians,
+        layer: &Arc<Gaussians>,
         sky: &mut SkyCube,
         seed: u64,
     ) -> Result<()> {
         match self.gpu(2) {
-            None => ffgs_trainer::train_sky(config, views, layer, sky, seed),
-            Some(gpu) => ffgs_trainer_gpu::train_sky(gpu, config, views, layer, sky, seed)?,
+            None => train_sky(&CpuBackend, config, views, layer, sky, seed)?,
+            Some(gpu) => train_sky(&GpuBackend(gpu), config, views, layer, sky, seed)?,
         }
         Ok(())
     }
 
-    /// Depth-sorted renders of Gaussians over the sky; on a GPU several views in a submission.
-    pub fn render(
-        self,
-        gaussians: &Gaussians,
-        sky: &SkyCube,
-        cameras: &[Camera],
-    ) -> Result<Vec<PlanarImage>> {
+    /// Depth-sorted renders of both layers over the sky; on a GPU several views in a submission.
+    pub fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
         let options = RenderOptions { antialiased: true, sh_degree: None };
-        let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(sky, camera)).collect();
+        let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };
         let views: Vec<View> = cameras.iter().zip(&behind).map(view).collect();
-        if let Some(gpu) = self.gpu(0) {
-            let rendered = GpuRasterizer::new(gpu, options)?.render_views(gaussians, &views)?;
+        if let Some(device) = self.gpu(0) {
+            let gpu = &device.gpu;
+            let moving = GpuScene::upload(gpu, &scene.dynamic.gaussians)?;
+            let joint = GpuScene::joined(gpu, &[&device.layer(&scene.static_layer)?, &moving])?;
+            let rendered = GpuRasterizer::new(gpu, options)?.render_views(&joint, &views)?;
+            gpu.release_unused();
             return Ok(rendered.into_iter().map(|r| r.image).collect());
         }
-        let (rasterizer, mut tape) = (CpuRasterizer::new(options), RenderTape::default());
+        let (rasterizer, mut tape, joint) =
+            (CpuRasterizer::new(options), RenderTape::default(), scene.joint());
         let render = |view| {
-            rasterizer.render(gaussians, view, &mut tape);
+            rasterizer.render(&joint, view, &mut tape);
             tape.image().clone()
         };
         Ok(views.iter().map(render).collect())

@@ -2,8 +2,8 @@
 
 use crate::config::Config;
 use anyhow::Result;
-use ffgs_gpu::Gpu;
 use ffgs_method::{MotionMethod, Plugin, TrackSource};
+use ffgs_rasterizer_gpu::SceneDevice;
 
 /// What methods are built from.
 #[derive(Clone, Copy)]
@@ -13,7 +13,7 @@ pub struct Parts<'a> {
     /// The capture's trackers.
     pub tracks: &'a [Box<dyn TrackSource>],
     /// Where to compute; `None` = the CPU.
-    pub gpu: Option<&'a Gpu>,
+    pub gpu: Option<&'a SceneDevice>,
 }
 
 /// Makes a method from its parts and argument (empty for one that takes none).

@@ -8,7 +8,7 @@ use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
-use crate::lanes::{Lanes, Photographed};
+use crate::lanes::Lanes;
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
@@ -26,16 +26,19 @@ use ffgs_core::{
 };
 use ffgs_dataset::ImageCheck;
 use ffgs_fusion::{Silhouettes, initial_covariance};
-use ffgs_gpu::Gpu;
 use ffgs_method::{
     Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Split, Step, TrackSource, ViewAt,
 };
 use ffgs_motion::pixel_sizes;
+use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, Prior, StaticLane, Surroundings, from_points, shows_sky};
+use ffgs_trainer::{
+    FirstFrame, INITIAL_OPACITY, Photographed, Prior, StaticLane, Surroundings, from_points, shows_sky,
+};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Runs the job and returns the path of the report.
@@ -78,7 +81,7 @@ struct Job<'a> {
     folder: RunFolder,
     manifest: Manifest,
     /// None = the CPU.
-    gpus: Vec<Gpu>,
+    gpus: Vec<SceneDevice>,
     /// Nobody else writes into the folder.
     _lock: FolderLock,
 }
@@ -222,7 +225,9 @@ impl<'a> Job<'a> {
             self.split(&trained.gaussians, sky, &views[..count], &views)?
         };
         if scene.dynamic.knowledge.information.is_empty() {
+            let learning = Instant::now();
             knowledge::learn(&mut scene, None, &views);
+            record.log.since("information", learning);
         }
         views.truncate(count);
         method.begin(&scene).with_context(|| self.named("first frame"))?;
@@ -293,7 +298,7 @@ impl<'a> Job<'a> {
         let entitled = gaussians.len();
         let mut dynamic = Dynamic { gaussians, covariances, entitled, ..Dynamic::default() };
         dynamic.number_new();
-        Ok(Scene { static_layer: all.select(&indices(false)), dynamic, sky })
+        Ok(Scene { static_layer: Arc::new(all.select(&indices(false))), dynamic, sky })
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
@@ -331,7 +336,9 @@ impl<'a> Job<'a> {
         match method.finetune(&step, &mut scene, log).with_context(|| self.named("finetuning"))? {
             Finetuning::ByLanes => {
                 self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
+                let learning = Instant::now();
                 knowledge::learn(&mut scene, predicted.as_ref(), &now);
+                log.since("information", learning);
             }
             Finetuning::Done => {}
         }
@@ -352,7 +359,7 @@ impl<'a> Job<'a> {
     ) -> Result<()> {
         let (config, lanes) = (self.config(), self.lanes());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
-        let (static_start, sky_start) = (scene.static_layer.clone(), scene.sky.clone());
+        let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, dynamic, sky } = scene;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
@@ -555,7 +562,7 @@ mod tests {
         let request_cut = request(&cut, &[0, 0, 0], 2, true);
         let job = Job::open(&request_cut).unwrap();
         assert_eq!(job.gpus.len(), 3);
-        job.gpus[2].lose_after(2);
+        job.gpus[2].gpu.lose_after(2);
         let error = format!("{:#}", run_frames(&job).unwrap_err());
         assert!(error.contains("the GPU was lost") && error.contains("--resume"), "{error}");
         assert!(!job.folder.state(1).exists(), "the frame did not finish");

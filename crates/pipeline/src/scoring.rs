@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Depth-sorted renders of all layers over the sky.
 pub(crate) fn render(scene: &Scene, cameras: &[Camera], lanes: Lanes) -> Result<Vec<PlanarImage>> {
-    lanes.render(&scene.joint(), &scene.sky, cameras)
+    lanes.render(scene, cameras)
 }
 
 /// Writes a PNG through a temporary file.

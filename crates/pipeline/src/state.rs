@@ -4,8 +4,10 @@ use anyhow::{Result, bail};
 use ffgs_core::{Dynamic, Gaussians, Knowledge, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
 use glam::DMat3;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Name of the flag that the last masks were doubted.
 const DOUBTED: &str = "masks_doubted";
@@ -17,8 +19,8 @@ const ENTITLED: &str = "dynamic_entitled";
 pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
     let state = FrameState {
         frame: frame as u64,
-        static_layer: scene.static_layer.clone(),
-        dynamic_layer: scene.dynamic.gaussians.clone(),
+        static_layer: Cow::Borrowed(&scene.static_layer),
+        dynamic_layer: Cow::Borrowed(&scene.dynamic.gaussians),
         dynamic_covariances: scene.dynamic.covariances.clone(),
         sky_face_size: scene.sky.face_size(),
         sky: scene.sky.texels.as_flattened().to_vec(),
@@ -26,7 +28,7 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_steps: scene.dynamic.steps.clone(),
         dynamic_ids: scene.dynamic.ids.clone(),
         next_id: scene.dynamic.next_id,
-        dynamic_information: scene.dynamic.knowledge.information.clone(),
+        dynamic_information: Cow::Borrowed(&scene.dynamic.knowledge.information),
         reals: reals(&scene.dynamic.knowledge),
         dynamic_flexibility: scene.dynamic.flexibility.clone(),
         integers: [
@@ -71,13 +73,13 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
     sky.texels = state.sky.as_chunks::<3>().0.to_vec();
     let real = |name: &&str| state.reals.get(*name).copied().unwrap_or(0.0);
     let knowledge = Knowledge {
-        information: state.dynamic_information,
+        information: state.dynamic_information.into_owned(),
         drift: DRIFT.each_ref().map(real),
         noise: NOISE.each_ref().map(real),
     };
     let entitled = state.integers.get(ENTITLED).map_or(state.dynamic_layer.len(), |&n| n as usize);
     let dynamic = Dynamic {
-        gaussians: state.dynamic_layer,
+        gaussians: state.dynamic_layer.into_owned(),
         covariances: state.dynamic_covariances,
         q: state.q,
         steps: state.dynamic_steps,
@@ -88,7 +90,7 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         entitled,
         doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
-    Ok(Scene { static_layer: state.static_layer, dynamic, sky })
+    Ok(Scene { static_layer: Arc::new(state.static_layer.into_owned()), dynamic, sky })
 }
 
 /// What keeps a run from going on; `None` for a sound state.
@@ -142,13 +144,13 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    type Change = fn(&mut FrameState);
+    type Change = fn(&mut FrameState<'static>);
 
-    fn sound() -> FrameState {
+    fn sound() -> FrameState<'static> {
         FrameState {
             frame: 1,
-            static_layer: Gaussians::zeros(2, 1),
-            dynamic_layer: Gaussians::zeros(1, 1),
+            static_layer: Cow::Owned(Gaussians::zeros(2, 1)),
+            dynamic_layer: Cow::Owned(Gaussians::zeros(1, 1)),
             dynamic_covariances: vec![DMat3::from_diagonal(DVec3::ONE)],
             dynamic_ids: vec![0],
             next_id: 1,
@@ -168,9 +170,9 @@ mod tests {
             (|s| s.frame = 2, "after frame 2"),
             (|s| s.dynamic_covariances.clear(), "0 covariances of 1"),
             (|s| s.dynamic_ids.clear(), "0 ids of 1"),
-            (|s| s.dynamic_layer = Gaussians::zeros(1, 2), "degrees (1, 2)"),
-            (|s| s.static_layer.means[1][2] = f32::NAN, "a position of the static layer"),
-            (|s| s.dynamic_layer.sh[0][0] = f32::INFINITY, "a colour of the dynamic layer"),
+            (|s| s.dynamic_layer = Cow::Owned(Gaussians::zeros(1, 2)), "degrees (1, 2)"),
+            (|s| s.static_layer.to_mut().means[1][2] = f32::NAN, "a position of the static layer"),
+            (|s| s.dynamic_layer.to_mut().sh[0][0] = f32::INFINITY, "a colour of the dynamic layer"),
             (|s| s.dynamic_covariances[0].x_axis.y = f64::NAN, "a covariance is not a number"),
             (|s| s.sky[3] = f32::NAN, "a texel of the sky"),
             (|s| (s.sky_face_size, s.sky) = (0, Vec::new()), "no sky"),

@@ -71,7 +71,7 @@ fn seed(name: &str) -> Vec<u8> {
         "state" => written("a", |path| {
             let layer = Gaussians::zeros(2, 1);
             let state = FrameState {
-                static_layer: layer,
+                static_layer: std::borrow::Cow::Owned(layer),
                 sky_face_size: 1,
                 sky: vec![0.0; 18],
                 ..FrameState::default()

@@ -142,6 +142,18 @@ pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, d
     commands.run(&kernels::TILE_DEPTHS, &buffers, Groups::of(view.slots(), GROUP));
 }
 
+/// Adds 1 to `counts` (u32 per Gaussian) for every Gaussian that what was dealt last shows.
+pub fn count_views(
+    commands: &mut Commands,
+    scene: &GpuScene,
+    view: &GpuView,
+    scratch: &Scratch,
+    counts: &Buffer,
+) {
+    let buffers = [&view.uniform, &scratch.extents, counts];
+    commands.run(&kernels::COUNT_VIEWS, &buffers, Groups::of(scene.count, GROUP));
+}
+
 /// Blends what was dealt last into the layers of `view`, cut at `depths`: what is nearer in front, the rest over the
 /// background that the layers hold.
 pub fn render_split(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {

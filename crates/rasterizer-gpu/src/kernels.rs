@@ -51,13 +51,14 @@ kernel!(FOOTPRINT, "footprint", [VIEW, WALK, SHARED, SUMS]);
 kernel!(FOOTPRINT_SUBGROUPS, "footprint_subgroups", [VIEW, WALK, SUBGROUPS, SUMS], subgroups = true);
 kernel!(FOOTPRINT_TOTALS, "footprint_totals", [VIEW]);
 kernel!(TOP_CONTRIBUTORS, "top_contributors", [VIEW, WALK]);
+kernel!(COUNT_VIEWS, "count_views", [VIEW]);
 kernel!(TILE_DEPTHS, "tile_depths", [VIEW]);
 kernel!(BLEND_SPLIT, "blend_split", [VIEW, WALK]);
 kernel!(PROJECTION_BACKWARD, "projection_backward", [VIEW, SH, EWA, LEDGER]);
 
 /// Every kernel of this crate.
 #[cfg(test)]
-pub(crate) const ALL: [Kernel; 21] = [
+pub(crate) const ALL: [Kernel; 22] = [
     PROJECT,
     RANK_COUNTS,
     SCAN_BLOCKS,
@@ -77,6 +78,7 @@ pub(crate) const ALL: [Kernel; 21] = [
     FOOTPRINT_TOTALS,
     TOP_CONTRIBUTORS,
     PROJECTION_BACKWARD,
+    COUNT_VIEWS,
     TILE_DEPTHS,
     BLEND_SPLIT,
 ];

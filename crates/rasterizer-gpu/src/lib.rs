@@ -24,6 +24,7 @@
 //! # Ok::<(), ffgs_gpu::GpuError>(())
 //! ```
 
+mod device;
 mod encode;
 mod footprint;
 mod kernels;
@@ -35,7 +36,8 @@ mod scratch;
 mod shader_tests;
 mod view;
 
-pub use encode::{backward, deal, prepare, render, render_split, tile_depths};
+pub use device::SceneDevice;
+pub use encode::{backward, count_views, deal, prepare, render, render_split, tile_depths};
 pub use footprint::{Footprints, Planes};
 pub use layout::{Geometry, Ledger};
 pub use rasterize::{GpuRasterizer, Rendered, VIEWS_A_SUBMISSION};

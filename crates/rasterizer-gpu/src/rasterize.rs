@@ -41,12 +41,14 @@ impl<'a> GpuRasterizer<'a> {
         self.render_uploaded(&scene, &view)
     }
 
-    /// Renders `gaussians` from several views, up to eight in a submission.
-    pub fn render_views(&mut self, gaussians: &Gaussians, views: &[View]) -> Result<Vec<Rendered>, GpuError> {
-        let scene = GpuScene::upload(self.gpu, gaussians)?;
+    /// Renders a scene from several views, up to eight in a submission.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
+    pub fn render_views(&mut self, scene: &GpuScene, views: &[View]) -> Result<Vec<Rendered>, GpuError> {
         let mut out = Vec::with_capacity(views.len());
         for group in views.chunks(VIEWS_A_SUBMISSION) {
-            out.extend(self.render_group(&scene, group)?);
+            out.extend(self.render_group(scene, group)?);
         }
         Ok(out)
     }

@@ -1,5 +1,5 @@
 use crate::layout::{Geometry, Ledger};
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, sh_coefficients};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
 
 /// Gaussians on the device.
@@ -25,6 +25,38 @@ impl GpuScene {
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree(),
         })
+    }
+
+    /// Some scenes of one SH degree one after another, copied on the device.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
+    ///
+    /// # Panics
+    /// When the SH degrees differ.
+    pub fn joined(gpu: &Gpu, parts: &[&Self]) -> Result<Self, GpuError> {
+        let parts: Vec<_> = parts.iter().filter(|part| part.count > 0).collect();
+        let sh_degree = parts.first().map_or(0, |part| part.sh_degree);
+        assert!(parts.iter().all(|part| part.sh_degree == sh_degree), "SH degrees differ");
+        let count: usize = parts.iter().map(|part| part.count).sum();
+        let columns: [(&str, fn(&Self) -> &Buffer, u64); 2] = [
+            ("Gaussians", |part| &part.geometry, size_of::<Geometry>() as u64),
+            ("spherical harmonics", |part| &part.sh, sh_coefficients(sh_degree) as u64 * 12),
+        ];
+        let mut commands = gpu.commands();
+        let [geometry, sh] = columns.map(|(what, column, width)| {
+            let joined = gpu.buffer(what, count as u64 * width)?;
+            let mut at = 0;
+            for part in &parts {
+                let bytes = part.count as u64 * width;
+                commands.copy_to(column(part), &joined, at, bytes);
+                at += bytes;
+            }
+            Ok::<_, GpuError>(joined)
+        });
+        let scene = Self { geometry: geometry?, sh: sh?, count, sh_degree };
+        gpu.submit(commands)?;
+        Ok(scene)
     }
 
     /// Zeros of the same shape: gradients, moments.

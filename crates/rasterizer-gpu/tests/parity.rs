@@ -6,7 +6,7 @@ use ffgs_rasterizer::{
     Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
     RenderOptions, RenderTape, TileMask, View,
 };
-use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
+use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Rendered};
 use glam::{DMat4, EulerRot};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -286,8 +286,9 @@ fn several_views_in_a_submission_are_the_same_bits_as_one_by_one() {
     let part = View { camera: &camera, background: Background::Colour([0.1; 3]), tiles: Some(&tiles) };
     let views = [part, all, part, all, all, part, part, part, all, part];
     let rasterizer = || GpuRasterizer::new(&gpu, RenderOptions::default()).unwrap();
+    let scene = GpuScene::upload(&gpu, &gaussians).unwrap();
     let one_by_one: Vec<Rendered> =
         views.iter().map(|view| rasterizer().render(&gaussians, view).unwrap()).collect();
-    assert!(rasterizer().render_views(&gaussians, &views).unwrap() == one_by_one);
-    assert!(rasterizer().render_views(&gaussians, &[]).unwrap().is_empty());
+    assert!(rasterizer().render_views(&scene, &views).unwrap() == one_by_one);
+    assert!(rasterizer().render_views(&scene, &[]).unwrap().is_empty());
 }

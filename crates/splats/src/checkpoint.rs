@@ -5,6 +5,7 @@ use crate::error::InFile;
 use crate::{Problem, SplatError};
 use ffgs_core::{Gaussians, open_input, write_atomically};
 use glam::{DMat3, DVec3};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -18,13 +19,13 @@ const CHECKSUM: usize = 4;
 /// All that the next frame needs: a run that continues from it ends with the same bytes as one never stopped.
 /// Floats are kept bit by bit (NaN payloads and signed zeros too).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct FrameState {
+pub struct FrameState<'a> {
     /// The frame this is the state after.
     pub frame: u64,
     /// Static layer.
-    pub static_layer: Gaussians,
+    pub static_layer: Cow<'a, Gaussians>,
     /// Dynamic layer.
-    pub dynamic_layer: Gaussians,
+    pub dynamic_layer: Cow<'a, Gaussians>,
     /// Position covariances of the dynamic layer (m^2).
     pub dynamic_covariances: Vec<DMat3>,
     /// Ids of the dynamic layer, which stay with a Gaussian over all frames.
@@ -33,9 +34,9 @@ pub struct FrameState {
     pub next_id: u32,
     /// Information (inverse variance) of each parameter of the dynamic layer but the positions, whose covariances stand
     /// above; empty when unknown.
-    pub dynamic_information: Gaussians,
+    pub dynamic_information: Cow<'a, Gaussians>,
     /// Information of each parameter of the static layer; empty when unknown.
-    pub static_information: Gaussians,
+    pub static_information: Cow<'a, Gaussians>,
     /// Edge of a sky cube face (px); 0 without a sky.
     pub sky_face_size: usize,
     /// Sky texture, kept as it is.
@@ -69,7 +70,7 @@ pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError
 
 /// Reads a checkpoint; a truncated or altered file, one of another version, or one whose columns do not go together,
 /// is an error.
-pub fn load_checkpoint(path: &Path) -> Result<FrameState, SplatError> {
+pub fn load_checkpoint(path: &Path) -> Result<FrameState<'static>, SplatError> {
     let mut bytes = Vec::new();
     open_input(path).and_then(|mut file| file.read_to_end(&mut bytes)).in_file(path)?;
     payload(&bytes).and_then(|(version, payload)| decode(version, payload)).in_file(path)
@@ -141,11 +142,11 @@ fn put_layer(out: &mut Vec<u8>, layer: &Gaussians) {
     put_f32s(out, layer.sh.as_flattened());
 }
 
-fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
+fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> {
     let mut cursor = Cursor(payload);
     let frame = cursor.u64()?;
-    let static_layer = layer(&mut cursor)?;
-    let dynamic_layer = layer(&mut cursor)?;
+    let static_layer = Cow::Owned(layer(&mut cursor)?);
+    let dynamic_layer: Cow<Gaussians> = Cow::Owned(layer(&mut cursor)?);
     let count = cursor.length()?;
     let dynamic_covariances = cursor.f64_rows::<9>(count)?.iter().map(DMat3::from_cols_array).collect();
     let sky_face_size = cursor.length()?;
@@ -158,7 +159,7 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState, Problem> {
     let dynamic_steps = cursor.f64_rows::<3>(steps)?.into_iter().map(DVec3::from_array).collect();
     let (dynamic_ids, next_id) = ids(version, &mut cursor, dynamic_layer.len())?;
     let mut information = || if version >= 3 { layer(&mut cursor) } else { Ok(Gaussians::default()) };
-    let (dynamic_information, static_information) = (information()?, information()?);
+    let (dynamic_information, static_information) = (Cow::Owned(information()?), Cow::Owned(information()?));
     let odds = if version >= 4 { cursor.length()? } else { 0 };
     let dynamic_flexibility = cursor.f64_rows::<1>(odds)?.into_iter().map(|[v]| v).collect();
     if !cursor.0.is_empty() {

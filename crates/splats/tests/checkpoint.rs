@@ -3,9 +3,10 @@
 use ffgs_core::Gaussians;
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint, write_sky_cross, write_sky_faces};
 use glam::{DMat3, DVec3};
+use std::borrow::Cow;
 use std::fs;
 
-fn state() -> FrameState {
+fn state() -> FrameState<'static> {
     let mut static_layer = Gaussians::zeros(3, 2);
     static_layer.sh[5] = [f32::MIN_POSITIVE / 8.0, -0.0, 1.0 / 3.0];
     static_layer.quats[1] = [0.1, 0.2, 0.3, 0.4];
@@ -13,13 +14,13 @@ fn state() -> FrameState {
     dynamic_layer.means[1] = [1e-30, 1e30, -7.5];
     FrameState {
         frame: 12,
-        static_layer,
-        dynamic_layer,
+        static_layer: Cow::Owned(static_layer),
+        dynamic_layer: Cow::Owned(dynamic_layer),
         dynamic_covariances: vec![DMat3::from_diagonal(DVec3::new(0.1, 1.0 / 3.0, 1e-300)); 2],
         dynamic_ids: vec![9, u32::MAX - 1],
         next_id: u32::MAX,
-        dynamic_information: Gaussians::zeros(2, 3),
-        static_information: Gaussians::zeros(3, 2),
+        dynamic_information: Cow::Owned(Gaussians::zeros(2, 3)),
+        static_information: Cow::Owned(Gaussians::zeros(3, 2)),
         sky_face_size: 2,
         sky: (0..72).map(|i| i as f32 / 7.0).collect(),
         q: 0.123_456_789,
@@ -58,7 +59,7 @@ fn truncation_and_any_changed_byte_are_errors() {
     }
 }
 
-type Change = fn(&mut FrameState);
+type Change = fn(&mut FrameState<'static>);
 
 #[test]
 fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
@@ -71,7 +72,7 @@ fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
         (|s| s.dynamic_covariances.truncate(1), "1 covariances of 2"),
         (|s| s.dynamic_steps.truncate(1), "1 last steps of 2"),
         (|s| s.dynamic_ids = vec![1; 3], "3 ids of 2"),
-        (|s| s.static_information = Gaussians::zeros(4, 0), "4 rows of information of"),
+        (|s| s.static_information = Cow::Owned(Gaussians::zeros(4, 0)), "4 rows of information of"),
     ];
     for (change, words) in faults {
         let mut changed = state();

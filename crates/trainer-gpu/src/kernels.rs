@@ -19,6 +19,7 @@ const LOSS: &str = wgsl!("common/loss");
 const ADAM_STEP: &str = wgsl!("common/adam");
 const LEDGER: &str = wgsl!("common/ledger");
 const SKY_STRUCT: &str = wgsl!("common/sky_struct");
+const PRIOR: &str = wgsl!("common/prior");
 const SKY: &str = wgsl!("common/sky");
 
 kernel!(LOSS_STATISTICS, "loss_statistics", [LOSS_STRUCT, LOSS]);
@@ -26,6 +27,8 @@ kernel!(LOSS_GRADIENT, "loss_gradient", [LOSS_STRUCT, LOSS]);
 kernel!(LOSS_VALUE, "loss_value", [LOSS_STRUCT]);
 kernel!(SQUARED_ERROR, "squared_error", [LOSS_STRUCT, LOSS]);
 kernel!(ADAM, "adam", [ADAM_STEP, LEDGER]);
+kernel!(PRIOR_GEOMETRY, "prior_geometry", [VIEW, LOSS_STRUCT, LEDGER, PRIOR]);
+kernel!(PRIOR_COLOURS, "prior_colours", [VIEW, LOSS_STRUCT, LEDGER, PRIOR]);
 kernel!(CARRY, "carry", []);
 kernel!(ALPHA_PENALTY, "alpha_penalty", [VIEW]);
 kernel!(SKY_LAYERS, "sky_layers", [VIEW, SKY_STRUCT, SKY]);
@@ -34,12 +37,14 @@ kernel!(SKY_ADAM, "sky_adam", [SKY_STRUCT, ADAM_STEP]);
 
 /// Every kernel of this crate.
 #[cfg(test)]
-pub(crate) const ALL: [Kernel; 10] = [
+pub(crate) const ALL: [Kernel; 12] = [
     LOSS_STATISTICS,
     LOSS_GRADIENT,
     LOSS_VALUE,
     SQUARED_ERROR,
     ADAM,
+    PRIOR_GEOMETRY,
+    PRIOR_COLOURS,
     CARRY,
     ALPHA_PENALTY,
     SKY_LAYERS,

@@ -44,3 +44,13 @@ pub(crate) struct SkyUniform {
     pub rate: f32,
     pub epsilon: f32,
 }
+
+/// `Prior` of `shaders/common/prior.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct PriorUniform {
+    pub items: u32,
+    pub coefficients: u32,
+    pub strength: f32,
+    pub padding: u32,
+}

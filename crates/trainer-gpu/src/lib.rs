@@ -1,25 +1,26 @@
-//! Training on the GPU; the lanes of `ffgs-trainer` are their twins, with the same configuration, the same order of
-//! views and the same steps.
+//! Training on the GPU: [`GpuBackend`] is the twin of `ffgs_trainer::CpuBackend`, under the same loops.
 //!
 //! Parameters, moments, 8-bit photographs, masks and layers stay on the device. A step is one submission and reads
-//! nothing back: sizes are measured before a lane begins, and the running loss is fetched now and then.
+//! nothing back: sizes are measured before the first, and the running loss is fetched now and then.
 
-mod background_lanes;
-mod dynamic_lane;
-mod first_frame;
+mod backend;
 mod kernels;
+mod layer;
 mod layout;
 mod optimiser;
+mod prior;
 mod probe;
 #[cfg(test)]
 mod shader_tests;
 mod sky;
+mod sky_training;
+mod surroundings;
 mod target;
 #[cfg(test)]
 mod tests;
 mod workspace;
 
-pub use background_lanes::{train_sky, train_static};
-pub use dynamic_lane::train_dynamic;
-pub use first_frame::train_first_frame;
+pub use backend::GpuBackend;
+pub use layer::GpuLayer;
 pub use probe::{Counts, Floor, Part, Probe};
+pub use sky_training::GpuSkyTraining;

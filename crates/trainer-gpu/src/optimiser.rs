@@ -3,7 +3,7 @@ use crate::layout::{AdamUniform, CarryUniform};
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::{Geometry, GpuGradients, GpuScene, Ledger};
-use ffgs_trainer::{IndexMap, LearningRates, bias_corrections};
+use ffgs_trainer::{Columns, IndexMap, LearningRates, bias_corrections};
 
 /// Invocations of the kernel.
 const GROUP: usize = 256;
@@ -24,16 +24,28 @@ pub(crate) struct Optimiser<'a> {
     corrections: Buffer,
     geometry_step: Buffer,
     sh_step: Buffer,
+    columns: Columns,
+}
+
+/// Zeros for the columns that move.
+fn moments(gpu: &Gpu, scene: &GpuScene, columns: Columns) -> Result<GpuScene, GpuError> {
+    let bytes = |moves: bool, column: &Buffer| if moves { column.bytes() } else { 0 };
+    Ok(GpuScene {
+        geometry: gpu.buffer("moments", bytes(columns.geometry, &scene.geometry))?,
+        sh: gpu.buffer("moments", bytes(columns.colours, &scene.sh))?,
+        ..scene.clone()
+    })
 }
 
 impl<'a> Optimiser<'a> {
-    pub fn new(gpu: &'a Gpu, gaussians: &Gaussians) -> Result<Self, GpuError> {
-        let scene = GpuScene::upload(gpu, gaussians)?;
+    /// Trains `columns` of `scene` in place; no moments are kept of the others.
+    pub fn new(gpu: &'a Gpu, scene: GpuScene, columns: Columns) -> Result<Self, GpuError> {
         Ok(Self {
             gpu,
             gradients: GpuGradients::new(gpu, &scene, false)?,
-            first: scene.zeros_like(gpu)?,
-            second: scene.zeros_like(gpu)?,
+            first: moments(gpu, &scene, columns)?,
+            second: moments(gpu, &scene, columns)?,
+            columns,
             corrections: gpu.upload("bias corrections", &bias_corrections())?,
             geometry_step: gpu.uniform("Adam", &AdamUniform::default())?,
             sh_step: gpu.uniform("Adam", &AdamUniform::default())?,
@@ -76,11 +88,15 @@ impl<'a> Optimiser<'a> {
         let ledger = [&gradients.ledger, &self.corrections];
         let columns = |step, gradient, p, m, v| [step, ledger[0], ledger[1], gradient, p, m, v];
         let (g, n) = (&gradients.scene, scene.count);
-        let geometry =
-            columns(&self.geometry_step, &g.geometry, &scene.geometry, &first.geometry, &second.geometry);
-        commands.run(&kernels::ADAM, &geometry, Groups::of(n * GEOMETRY_WIDTH, GROUP));
-        let sh = columns(&self.sh_step, &g.sh, &scene.sh, &first.sh, &second.sh);
-        commands.run(&kernels::ADAM, &sh, Groups::of(n * self.sh_width(), GROUP));
+        if self.columns.geometry {
+            let geometry =
+                columns(&self.geometry_step, &g.geometry, &scene.geometry, &first.geometry, &second.geometry);
+            commands.run(&kernels::ADAM, &geometry, Groups::of(n * GEOMETRY_WIDTH, GROUP));
+        }
+        if self.columns.colours {
+            let sh = columns(&self.sh_step, &g.sh, &scene.sh, &first.sh, &second.sh);
+            commands.run(&kernels::ADAM, &sh, Groups::of(n * self.sh_width(), GROUP));
+        }
     }
 
     /// First and second moments. Waits for the device.
@@ -100,12 +116,12 @@ impl<'a> Optimiser<'a> {
     }
 
     /// Takes `gaussians`, made from the old ones as `map` says: kept ones keep moments and steps, new ones start anew.
-    /// Statistics of density control start anew for all. `keep_opacity` = false zeroes the opacities' moments.
+    /// `keep_opacity` = false zeroes the opacities' moments; `keep_sums` = false zeroes the statistics of density control.
     pub fn replace(
         &mut self,
         gaussians: &Gaussians,
         map: &IndexMap,
-        keep_opacity: bool,
+        (keep_opacity, keep_sums): (bool, bool),
     ) -> Result<(), GpuError> {
         let ledger = self.ledger()?;
         let number = |(&source, &keeps): (&usize, &bool)| if keeps { source as u32 } else { NEW };
@@ -114,9 +130,9 @@ impl<'a> Optimiser<'a> {
         let moments = [&self.first, &self.second].map(|m| self.carry(m, &numbers, map.len(), keep_opacity));
         let carried = map.sources.iter().zip(&map.keeps_moments);
         let rows: Vec<Ledger> = carried
-            .map(|(&source, &keeps)| Ledger {
-                steps: if keeps { ledger[source].steps } else { 0 },
-                ..Ledger::default()
+            .map(|(&source, &keeps)| {
+                let before = if keeps { ledger[source] } else { Ledger::default() };
+                if keep_sums { before } else { Ledger { steps: before.steps, ..Ledger::default() } }
             })
             .collect();
         let [first, second] = moments;

@@ -1,7 +1,7 @@
 //! Checks of the shaders that need no GPU.
 
 use crate::kernels;
-use crate::layout::{AdamUniform, CarryUniform, LossUniform, SkyUniform};
+use crate::layout::{AdamUniform, CarryUniform, LossUniform, PriorUniform, SkyUniform};
 use ffgs_gpu::host_layout;
 use ffgs_gpu::reflection::Reflection;
 
@@ -19,6 +19,7 @@ fn host_structs_have_the_layout_of_the_shaders() {
         ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
         ("Adam", host_layout!(AdamUniform, items, width, stamp, padding, rates)),
         ("Carry", host_layout!(CarryUniform, rows, width, dropped, padding)),
+        ("Prior", host_layout!(PriorUniform, items, coefficients, strength, padding)),
         ("Sky", host_layout!(SkyUniform, size, scale, rate, epsilon)),
     ];
     for (name, host) in twins {

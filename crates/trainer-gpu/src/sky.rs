@@ -8,27 +8,44 @@ use ffgs_rasterizer_gpu::Scratch;
 /// One unit of a pixel's derivative in the whole numbers that are summed: a sum holds 2^13 pixels.
 const UNIT: f32 = 262_144.0;
 
-/// The sky with its gradient and Adam's moments, on the device.
+/// A sky on the device.
 pub(crate) struct GpuSky {
     face_size: usize,
     uniform: Buffer,
     texels: Buffer,
+    /// Of a sky that is trained.
+    training: Option<Training>,
+}
+
+/// Gradient and Adam's moments.
+struct Training {
     gradient: Buffer,
     steps: Buffer,
     moments: Buffer,
 }
 
 impl GpuSky {
-    pub fn new(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
-        let texels = sky.texels.len() as u64;
+    /// One that stays.
+    pub fn fixed(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
+        let size = sky.face_size() as u32;
+        let uniform = SkyUniform { size, scale: UNIT, rate: 0.0, epsilon: 1.0 };
         Ok(Self {
             face_size: sky.face_size(),
-            uniform: gpu.uniform("sky", &SkyUniform::default())?,
+            uniform: gpu.uniform("sky", &uniform)?,
             texels: gpu.upload("sky", &sky.texels)?,
+            training: None,
+        })
+    }
+
+    /// One that is trained.
+    pub fn trained(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
+        let texels = sky.texels.len() as u64;
+        let training = Training {
             gradient: gpu.buffer("sky gradient", texels * 12)?,
             steps: gpu.buffer("sky steps", texels * 4)?,
             moments: gpu.buffer("sky moments", texels * 24)?,
-        })
+        };
+        Ok(Self { training: Some(training), ..Self::fixed(gpu, sky)? })
     }
 
     /// Sets the step size, the size of a typical derivative of one pixel, and the derivative that moves a texel at half
@@ -47,17 +64,12 @@ impl GpuSky {
 
     /// One step down the derivative that reaches the sky through what was rendered last.
     pub fn step(&self, commands: &mut Commands, target: &Target, scratch: &Scratch, corrections: &Buffer) {
+        let Some(Training { gradient, steps, moments }) = &self.training else { return };
         let view = &target.view;
-        let gather = [
-            view.uniform(),
-            &self.uniform,
-            view.slot_list(),
-            &scratch.pixels,
-            &scratch.upstream,
-            &self.gradient,
-        ];
+        let gather =
+            [view.uniform(), &self.uniform, view.slot_list(), &scratch.pixels, &scratch.upstream, gradient];
         commands.run(&kernels::SKY_GRADIENT, &gather, Groups::of(view.slots(), 1));
-        let buffers = [&self.uniform, corrections, &self.gradient, &self.texels, &self.steps, &self.moments];
+        let buffers = [&self.uniform, corrections, gradient, &self.texels, steps, moments];
         commands.run(&kernels::SKY_ADAM, &buffers, Groups::of(6 * self.face_size * self.face_size, 256));
     }
 

@@ -3,9 +3,7 @@ use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
 use ffgs_rasterizer::{TILE, TileMask};
 use ffgs_rasterizer_gpu::GpuView;
-
-/// Weight of `1 - SSIM` in the loss; L1 has the rest (3DGS `lambda_dssim`).
-const SSIM_WEIGHT: f64 = 0.2;
+use ffgs_trainer::SSIM_WEIGHT;
 
 /// A photograph on the device (8 bits a channel) with the view it was taken from and the pixels that count.
 pub(crate) struct Target {

@@ -1,23 +1,28 @@
 //! The GPU's training against its CPU twin, on a small scene.
 
+use crate::GpuBackend;
 use crate::optimiser::Optimiser;
+use crate::prior::GpuPrior;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};
-use crate::workspace::Workspace;
-use crate::{train_dynamic, train_first_frame, train_sky, train_static};
+use crate::workspace::{OPTIONS, Workspace, largest_view};
 use ffgs_core::{
     Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
 };
 use ffgs_gpu::{Gpu, GpuError};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
-use ffgs_rasterizer_gpu::Ledger;
-use ffgs_trainer::{
-    Adam, BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, IndexMap, LearningRates,
-    LossRegion, PhotometricLoss, SkyView, StaticMethod, Surroundings, Update,
+use ffgs_rasterizer::{
+    Background, CpuRasterizer, Information, Rasterizer, RenderOptions, RenderTape, TileMask, View,
 };
-use glam::{DMat4, DVec3};
+use ffgs_rasterizer_gpu::{GpuScene, Ledger, SceneDevice, count_views, deal, prepare};
+use ffgs_trainer::{
+    Adam, BackgroundConfig, Columns, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, IndexMap,
+    LearningRates, LossRegion, Photographed, PhotometricLoss, PixelNoise, Prior, SkyView, StaticLane,
+    StaticMethod, Surroundings, TaskView, TrainBackend, Update, train_dynamic, train_first_frame, train_sky,
+};
+use glam::{DMat3, DMat4, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 const SIZE: ImageSize = ImageSize { width: 45, height: 35 };
 const SKY: [f32; 3] = [0.5, 0.6, 0.8];
@@ -148,7 +153,8 @@ fn the_loss_and_its_gradient_agree() {
 fn steps_of_the_optimiser_agree() {
     let gpu = Gpu::for_test();
     let mut expected = blob(50, [0.0; 3], 1.0, 3);
-    let optimiser = Optimiser::new(&gpu, &expected).unwrap();
+    let scene = GpuScene::upload(&gpu, &expected).unwrap();
+    let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
     let rates = LearningRates { quats: 0.0, ..LearningRates::with_means(1e-3) };
     for step in 1..=5_u32 {
@@ -188,7 +194,8 @@ fn moments_are_carried_over_a_round_of_density_control() {
     let (start, gradient) = (blob(5, [0.0; 3], 1.0, 3), blob(5, [0.0; 3], 1.0, 4));
     let map = IndexMap { sources: vec![0, 2, 3, 2, 4], keeps_moments: vec![true, true, true, false, false] };
     for keep_opacity in [true, false] {
-        let mut optimiser = Optimiser::new(&gpu, &start).unwrap();
+        let scene = GpuScene::upload(&gpu, &start).unwrap();
+        let mut optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
         let mut adam = Adam::new(start.len(), start.sh_degree());
         let rates = LearningRates::with_means(1e-3);
         adam.step(&mut start.clone(), &gradient, &rates, Update::Dense);
@@ -200,7 +207,7 @@ fn moments_are_carried_over_a_round_of_density_control() {
         let mut commands = gpu.commands();
         optimiser.step(&mut commands);
         gpu.submit(commands).unwrap();
-        optimiser.replace(&start, &map, keep_opacity).unwrap();
+        optimiser.replace(&start, &map, (keep_opacity, false)).unwrap();
         adam.remap(&map);
         if !keep_opacity {
             adam.reset_opacity();
@@ -218,66 +225,230 @@ fn moments_are_carried_over_a_round_of_density_control() {
     }
 }
 
+/// A scene with everything that the lanes need.
+struct World {
+    moving: Gaussians,
+    fixed: Arc<Gaussians>,
+    sky: SkyCube,
+    views: Vec<TrainingView>,
+}
+
+fn world() -> World {
+    let (moving, fixed) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
+    let views = photographs(&joint(&moving, &fixed), &moving);
+    World { moving, fixed: Arc::new(fixed), sky: SkyCube::filled(8, SKY), views }
+}
+
+impl World {
+    fn around(&self) -> Surroundings<'_> {
+        Surroundings { static_layer: &self.fixed, sky: &self.sky, prior: None }
+    }
+
+    fn dynamic<B: TrainBackend>(
+        &self,
+        backend: &B,
+        config: &DynamicLaneConfig,
+        around: Surroundings,
+        layer: &mut Gaussians,
+    ) -> Result<(), B::Error> {
+        train_dynamic(backend, config, &self.views, around, layer, 9, &mut |_| {})
+    }
+
+    fn quality(&self, moving: &Gaussians) -> f64 {
+        mean_psnr(&joint(moving, &self.fixed), &self.sky, &self.views)
+    }
+}
+
+fn static_steps<B: TrainBackend>(
+    backend: &B,
+    config: &BackgroundConfig,
+    (views, sky): (&[TrainingView], &SkyCube),
+    layer: &mut Arc<Gaussians>,
+) -> Result<(), B::Error> {
+    let photographed = Photographed { views, sky };
+    StaticLane::default().train(backend, config, photographed, layer, 3, &mut |_| {})
+}
+
 #[test]
 #[ignore = "needs a GPU"]
 fn the_sky_agrees() {
-    let gpu = Gpu::for_test();
-    let truth = blob(20, [0.0; 3], 0.5, 4);
+    let device = SceneDevice::new(Gpu::for_test());
+    let truth = Arc::new(blob(20, [0.0; 3], 0.5, 4));
     let views = photographs(&truth, &blob(1, [9.0, 9.0, -3.0], 0.1, 2));
     let start = SkyCube::filled(8, [0.4, 0.7, 0.6]);
     let config = BackgroundConfig { sky_iterations: 25, sky_rate: 1e-2, ..BackgroundConfig::default() };
     let (mut cpu, mut found) = (start.clone(), start.clone());
-    ffgs_trainer::train_sky(&config, &views, &truth, &mut cpu, 5);
-    train_sky(&gpu, &config, &views, &truth, &mut found, 5).unwrap();
+    let Ok(()) = train_sky(&CpuBackend, &config, &views, &truth, &mut cpu, 5);
+    train_sky(&GpuBackend(&device), &config, &views, &truth, &mut found, 5).unwrap();
     for (t, (a, b)) in found.texels.iter().zip(&cpu.texels).enumerate() {
         assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-3), "texel {t}: {a:?}, not {b:?}");
     }
     assert!(found.texels != start.texels);
     let mut same = start.clone();
-    let sky = GpuSky::new(&gpu, &start).unwrap();
-    sky.download(&gpu, &mut same).unwrap();
+    let sky = GpuSky::fixed(&device.gpu, &start).unwrap();
+    sky.download(&device.gpu, &mut same).unwrap();
     assert_eq!(same, start);
 }
 
 #[test]
 #[ignore = "needs a GPU"]
 fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
-    let gpu = Gpu::for_test();
-    let (moving, around) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
-    let sky = SkyCube::filled(8, SKY);
-    let views = photographs(&joint(&moving, &around), &moving);
-    let start = perturbed(&moving, 8);
-    let surroundings = Surroundings { static_layer: &around, sky: &sky, prior: None };
+    let (device, world) = (SceneDevice::new(Gpu::for_test()), world());
+    let start = perturbed(&world.moving, 8);
     let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
     let (mut cpu, mut found) = (start.clone(), start.clone());
-    ffgs_trainer::train_dynamic(&config, &views, surroundings, &mut cpu, 9, &mut |_| {});
+    let Ok(()) = world.dynamic(&CpuBackend, &config, world.around(), &mut cpu);
     let mut last = None;
-    train_dynamic(&gpu, &config, &views, surroundings, &mut found, 9, &mut |p| last = Some(p)).unwrap();
+    let (backend, views) = (GpuBackend(&device), &world.views);
+    train_dynamic(&backend, &config, views, world.around(), &mut found, 9, &mut |p| last = Some(p)).unwrap();
     assert_eq!(last.map(|p| p.iteration), Some(60));
-    let quality = |g: &Gaussians| mean_psnr(&joint(g, &around), &sky, &views);
-    assert_equal_quality("dynamic", quality(&start), quality(&cpu), quality(&found));
+    assert_equal_quality("dynamic", world.quality(&start), world.quality(&cpu), world.quality(&found));
 
-    // 100 steps more read exactly as many bytes as 60 did: those of the report and of the result.
+    // 61 steps more read exactly as many bytes as 2 did: those of the report and of the result.
     let bytes = |iterations: usize| {
-        let before = gpu.traffic().down;
+        let before = device.gpu.traffic().down;
         let config = DynamicLaneConfig { iterations, ..config };
-        train_dynamic(&gpu, &config, &views, surroundings, &mut start.clone(), 9, &mut |_| {}).unwrap();
-        gpu.traffic().down - before
+        world.dynamic(&backend, &config, world.around(), &mut start.clone()).unwrap();
+        device.gpu.traffic().down - before
     };
     let reports = 16;
     assert_eq!(bytes(63), bytes(2));
     assert_eq!(bytes(65), bytes(2) + reports);
 }
 
+/// Diagonals as large as photographs make them, blocks that are no diagonals.
+fn information(n: usize) -> Information {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let block = |rng: &mut ChaCha8Rng| {
+        let root = DMat3::from_cols_array(&[(); 9].map(|()| rng.random_range(-1.0..1.0)));
+        (root * root.transpose()) * 3e5
+    };
+    let mut others = Gaussians::zeros(n, 1);
+    let mut fill = |column: &mut [f32]| column.iter_mut().for_each(|v| *v = rng.random_range(2e3..2e5));
+    fill(others.quats.as_flattened_mut());
+    fill(others.log_scales.as_flattened_mut());
+    fill(&mut others.opacity_logits);
+    fill(others.sh.as_flattened_mut());
+    others.quats.iter_mut().for_each(|q| q[0] = 0.0);
+    Information { positions: (0..n).map(|_| block(&mut rng)).collect(), others }
+}
+
+/// In a step of which the loss has no gradient, all that moves the layer is the prior: against the CPU, value by value.
 #[test]
 #[ignore = "needs a GPU"]
-fn the_static_lane_agrees() {
+fn the_pull_of_the_prior_agrees() {
     let gpu = Gpu::for_test();
+    let (start, views) = (blob(50, [0.0; 3], 1.0, 3), world().views);
+    let mut now = perturbed(&start, 4);
+    now.quats.as_flattened_mut().iter_mut().for_each(|v| *v += 0.05);
+    now.log_scales.as_flattened_mut().iter_mut().for_each(|v| *v -= 0.1);
+    now.opacity_logits.iter_mut().for_each(|v| *v += 0.3);
+    let information = information(50);
+    let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
+    let prior = Prior { information: &information, noise, weight: 0.1 };
+    let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
+    let optimiser = Optimiser::new(&gpu, GpuScene::upload(&gpu, &now).unwrap(), Columns::ALL).unwrap();
+    let on_device = GpuPrior::new(
+        &gpu,
+        &prior,
+        &GpuScene::upload(&gpu, &start).unwrap(),
+        gpu.upload("views", &seen).unwrap(),
+    );
+    let region = half(13);
+    let selection = Selection { region: Some(&region), tiles: None, layers: None };
+    let target = Target::new(&gpu, &views[0].camera, &views[0].image, &selection).unwrap();
+    let drawn = |i: usize| i % 3 != 0;
+    let ledger: Vec<Ledger> =
+        (0..50).map(|i| Ledger { stamp: u32::from(drawn(i)), ..Ledger::default() }).collect();
+    gpu.write(&optimiser.gradients.ledger, &ledger);
+    let scratch = Workspace::new(&gpu, 50, SIZE.pixels()).unwrap().scratch;
+    prepare(&gpu, &optimiser.scene, &target.view, &scratch, OPTIONS, 1);
+    let mut commands = gpu.commands();
+    on_device.unwrap().pull(&mut commands, &target, &optimiser);
+    gpu.submit(commands).unwrap();
+    let found = optimiser.gradients.scene.download(&gpu).unwrap();
+    let touched: Vec<bool> = (0..50).map(drawn).collect();
+    let expected = prior.pull(&start, seen, &now, region.count(), &touched);
+    let close = |a: &[f32], b: &[f32]| {
+        let largest = b.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        largest > 0.0 && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-5 * largest)
+    };
+    assert!(close(found.means.as_flattened(), expected.means.as_flattened()));
+    assert!(close(found.quats.as_flattened(), expected.quats.as_flattened()));
+    assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
+    assert!(close(&found.opacity_logits, &expected.opacity_logits));
+    assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+}
+
+#[test]
+#[ignore = "needs a GPU"]
+fn views_that_see_a_gaussian_are_counted_as_on_the_cpu() {
+    let (gpu, world) = (Gpu::for_test(), world());
+    let layer = joint(&world.moving, &world.fixed);
+    let scene = GpuScene::upload(&gpu, &layer).unwrap();
+    let counts = gpu.buffer("counts", 4 * layer.len() as u64).unwrap();
+    let mut expected = vec![0; layer.len()];
+    for view in &world.views {
+        let tiles = TileMask::covering(&view.mask);
+        let selection = Selection { region: None, tiles: Some(&tiles), layers: None };
+        let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
+        let tasks = [TaskView { view, region: None, tiles: None }];
+        let mut workspace = Workspace::new(&gpu, layer.len(), largest_view(&tasks)).unwrap();
+        workspace.fit(&scene, std::slice::from_ref(&target), OPTIONS).unwrap();
+        prepare(&gpu, &scene, &target.view, &workspace.scratch, OPTIONS, 0);
+        let mut commands = gpu.commands();
+        deal(&mut commands, &scene, &target.view, &workspace.scratch);
+        count_views(&mut commands, &scene, &target.view, &workspace.scratch, &counts);
+        gpu.submit(commands).unwrap();
+        let frame =
+            View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
+        let mut tape = RenderTape::default();
+        CpuRasterizer::new(OPTIONS).render(&layer, &frame, &mut tape);
+        tape.visible_indices().for_each(|i| expected[i] += 1);
+    }
+    assert_eq!(gpu.download::<u32>(&counts, layer.len()).unwrap(), expected);
+    assert!(expected.iter().any(|&n| n == 4) && expected.iter().any(|&n| n < 4), "{expected:?}");
+}
+
+/// A strong prior holds the layer where it starts, a weak one lets it go; both as on the CPU.
+#[test]
+#[ignore = "needs a GPU"]
+fn the_dynamic_lane_with_a_prior_agrees() {
+    let (device, world) = (SceneDevice::new(Gpu::for_test()), world());
+    let start = perturbed(&world.moving, 8);
+    let information = information(start.len());
+    let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
+    let moved = |g: &Gaussians| {
+        let squares =
+            g.means.iter().zip(&start.means).flat_map(|(a, b)| [0, 1, 2].map(|k| (a[k] - b[k]).powi(2)));
+        f64::from(squares.sum::<f32>()).sqrt()
+    };
+    let trained = |weight: f32| {
+        let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
+        let prior = (weight > 0.0).then_some(Prior { information: &information, noise, weight });
+        let around = Surroundings { prior, ..world.around() };
+        let (mut cpu, mut gpu) = (start.clone(), start.clone());
+        let Ok(()) = world.dynamic(&CpuBackend, &config, around, &mut cpu);
+        world.dynamic(&GpuBackend(&device), &config, around, &mut gpu).unwrap();
+        let quality = [&cpu, &gpu].map(|g| world.quality(g));
+        println!("weight {weight}: {quality:?} dB, moved {} and {} m", moved(&cpu), moved(&gpu));
+        assert!((quality[0] - quality[1]).abs() < 0.1 && (moved(&gpu) / moved(&cpu) - 1.0).abs() < 0.05);
+        moved(&gpu)
+    };
+    let (free, held) = (trained(0.0), trained(1.0));
+    assert!(held < 0.7 * free, "{held} m against {free} m");
+}
+
+#[test]
+#[ignore = "needs a GPU"]
+fn the_static_lane_agrees_and_its_layer_stays_on_the_device() {
+    let device = SceneDevice::new(Gpu::for_test());
     let truth = blob(60, [0.0, 0.2, 0.3], 1.6, 7);
     let sky = SkyCube::filled(8, SKY);
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
     let mut start = perturbed(&truth, 8);
     start.means.clone_from(&truth.means);
+    let start = Arc::new(start);
     let config = BackgroundConfig {
         static_method: StaticMethod::Steps,
         static_iterations: 60,
@@ -285,21 +456,48 @@ fn the_static_lane_agrees() {
         ..BackgroundConfig::default()
     };
     let (mut cpu, mut found) = (start.clone(), start.clone());
-    ffgs_trainer::StaticLane::default().train(&config, &views, &sky, &mut cpu, 3, &mut |_| {});
-    train_static(&gpu, &config, &views, &sky, &mut found, 3, &mut |_| {}).unwrap();
+    let Ok(()) = static_steps(&CpuBackend, &config, (&views, &sky), &mut cpu);
+    static_steps(&GpuBackend(&device), &config, (&views, &sky), &mut found).unwrap();
     assert_eq!(found.means, start.means);
     let quality = |g: &Gaussians| mean_psnr(g, &sky, &views);
     assert_equal_quality("static", quality(&start), quality(&cpu), quality(&found));
+    assert_eq!(device.layer(&found).unwrap().download(&device.gpu).unwrap(), *found);
+    assert_eq!(device.layer(&start).unwrap().download(&device.gpu).unwrap(), *start, "as it was");
+    assert_eq!(device.uploads(), 1, "only the start came from the host");
+}
+
+/// What a frame does with the static layer: it is drawn around the dynamic one, before the sky, trained, and drawn again.
+#[test]
+#[ignore = "needs a GPU"]
+fn the_static_layer_crosses_to_the_device_once_over_all_lanes() {
+    let (device, mut world) = (SceneDevice::new(Gpu::for_test()), world());
+    let backend = GpuBackend(&device);
+    let dynamic = DynamicLaneConfig { iterations: 2, ..DynamicLaneConfig::default() };
+    let background = BackgroundConfig {
+        static_method: StaticMethod::Steps,
+        static_iterations: 2,
+        sky_iterations: 2,
+        ..BackgroundConfig::default()
+    };
+    for _ in 0..3 {
+        let mut layer = world.moving.clone();
+        world.dynamic(&backend, &dynamic, world.around(), &mut layer).unwrap();
+        let mut fixed = world.fixed.clone();
+        static_steps(&backend, &background, (&world.views, &world.sky), &mut fixed).unwrap();
+        train_sky(&backend, &background, &world.views, &world.fixed, &mut world.sky, 5).unwrap();
+        assert!(fixed.sh != world.fixed.sh);
+        world.fixed = fixed;
+    }
+    assert_eq!(device.uploads(), 1, "not once per lane and frame");
 }
 
 #[test]
 #[ignore = "needs a GPU"]
 fn the_first_frame_agrees() {
-    let gpu = Gpu::for_test();
+    let device = SceneDevice::new(Gpu::for_test());
     let truth = blob(80, [0.0, 0.2, 0.3], 1.4, 7);
     let views = photographs(&truth, &blob(3, [0.0; 3], 0.2, 6));
-    let start = perturbed(&truth, 8);
-    let sky = SkyCube::filled(8, [0.4, 0.5, 0.7]);
+    let start = FirstFrame { gaussians: perturbed(&truth, 8), sky: SkyCube::filled(8, [0.4, 0.5, 0.7]) };
     let config = FirstFrameConfig {
         iterations: 120,
         densify_every: 30,
@@ -307,49 +505,37 @@ fn the_first_frame_agrees() {
         max_gaussians: 120,
         ..FirstFrameConfig::default()
     };
-    let cpu =
-        ffgs_trainer::train_first_frame(&config, &views, start.clone(), sky.clone(), 2.0, 4, &mut |_| {});
-    let found = train_first_frame(
-        &gpu,
-        &config,
-        &views,
-        FirstFrame { gaussians: start.clone(), sky: sky.clone() },
-        2.0,
-        4,
-        &mut |_| {},
-    )
-    .unwrap();
-    assert!(found.gaussians.len() > start.len() && found.gaussians.is_finite());
+    let Ok(cpu) = train_first_frame(&CpuBackend, &config, &views, start.clone(), 2.0, 4, &mut |_| {});
+    let found =
+        train_first_frame(&GpuBackend(&device), &config, &views, start.clone(), 2.0, 4, &mut |_| {}).unwrap();
+    assert!(found.gaussians.len() > start.gaussians.len() && found.gaussians.is_finite());
     let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
-    assert_equal_quality("first frame", mean_psnr(&start, &sky, &views), quality(&cpu), quality(&found));
+    assert_equal_quality("first frame", quality(&start), quality(&cpu), quality(&found));
 }
 
-/// Every lane on `gpu`, which cannot finish any: the error, and what it worked on must be as it was.
-fn assert_lanes_fail_cleanly(gpu: &Gpu, is_expected: fn(&GpuError) -> bool) {
-    let (moving, around) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
-    let sky = SkyCube::filled(8, SKY);
-    let views = photographs(&joint(&moving, &around), &moving);
+/// Every lane on a device that cannot finish any: the error, and what it worked on must be as it was.
+fn assert_lanes_fail_cleanly(device: &SceneDevice, is_expected: fn(&GpuError) -> bool) {
+    let (world, backend) = (world(), GpuBackend(device));
     let config = DynamicLaneConfig { iterations: 40, ..DynamicLaneConfig::default() };
-    let surroundings = Surroundings { static_layer: &around, sky: &sky, prior: None };
-    let mut layer = moving.clone();
-    let error =
-        train_dynamic(gpu, &config, &views, surroundings, &mut layer, 9, &mut |_| {}).expect_err("a fault");
-    assert!(is_expected(&error) && layer == moving, "dynamic: {error}");
+    let mut layer = world.moving.clone();
+    let error = world.dynamic(&backend, &config, world.around(), &mut layer).expect_err("a fault");
+    assert!(is_expected(&error) && layer == world.moving, "dynamic: {error}");
     let config = BackgroundConfig {
         static_method: StaticMethod::Steps,
         static_iterations: 40,
         sky_iterations: 40,
         ..BackgroundConfig::default()
     };
-    let mut layer = around.clone();
-    let error = train_static(gpu, &config, &views, &sky, &mut layer, 3, &mut |_| {}).expect_err("a fault");
-    assert!(is_expected(&error) && layer == around, "static: {error}");
-    let mut cube = sky.clone();
-    let error = train_sky(gpu, &config, &views, &around, &mut cube, 5).expect_err("a fault");
-    assert!(is_expected(&error) && cube == sky, "sky: {error}");
+    let mut layer = world.fixed.clone();
+    let error = static_steps(&backend, &config, (&world.views, &world.sky), &mut layer).expect_err("a fault");
+    assert!(is_expected(&error) && layer == world.fixed, "static: {error}");
+    let mut cube = world.sky.clone();
+    let error = train_sky(&backend, &config, &world.views, &world.fixed, &mut cube, 5).expect_err("a fault");
+    assert!(is_expected(&error) && cube == world.sky, "sky: {error}");
     let config = FirstFrameConfig { iterations: 40, ..FirstFrameConfig::default() };
-    let start = FirstFrame { gaussians: moving, sky };
-    let error = train_first_frame(gpu, &config, &views, start, 2.0, 4, &mut |_| {}).expect_err("a fault");
+    let start = FirstFrame { gaussians: world.moving, sky: world.sky };
+    let error =
+        train_first_frame(&backend, &config, &world.views, start, 2.0, 4, &mut |_| {}).expect_err("a fault");
     assert!(is_expected(&error), "first frame: {error}");
 }
 
@@ -358,9 +544,9 @@ fn assert_lanes_fail_cleanly(gpu: &Gpu, is_expected: fn(&GpuError) -> bool) {
 fn a_lane_whose_device_is_lost_ends_with_an_error_and_leaves_its_layer_alone() {
     let is_loss = |e: &GpuError| matches!(e, GpuError::Lost(_));
     for submissions in [0, 1, 7, 30] {
-        let gpu = Gpu::for_test();
-        gpu.lose_after(submissions);
-        assert_lanes_fail_cleanly(&gpu, is_loss);
+        let device = SceneDevice::new(Gpu::for_test());
+        device.gpu.lose_after(submissions);
+        assert_lanes_fail_cleanly(&device, is_loss);
     }
 }
 
@@ -368,10 +554,9 @@ fn a_lane_whose_device_is_lost_ends_with_an_error_and_leaves_its_layer_alone() {
 #[ignore = "needs a GPU"]
 fn a_lane_without_memory_ends_with_an_error_and_leaves_its_layer_alone() {
     for limit in [1_000, 100_000, 400_000] {
-        let gpu = Gpu::for_test();
-        let gpu = gpu.with_memory_limit(limit);
-        assert_lanes_fail_cleanly(&gpu, |e| *e == GpuError::OutOfMemory);
-        gpu.release_unused();
-        assert_eq!(gpu.memory_held(), 0, "a lane that failed keeps nothing");
+        let device = SceneDevice::new(Gpu::for_test().with_memory_limit(limit));
+        assert_lanes_fail_cleanly(&device, |e| *e == GpuError::OutOfMemory);
+        device.forget();
+        assert_eq!(device.gpu.memory_held(), 0, "a lane that failed keeps nothing");
     }
 }

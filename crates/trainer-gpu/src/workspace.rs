@@ -1,14 +1,15 @@
 use crate::kernels;
-use crate::optimiser::Optimiser;
 use crate::target::Target;
-use ffgs_core::TrainingView;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TILE};
 use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_A_SUBMISSION, deal, prepare};
-use ffgs_trainer::Progress;
+use ffgs_trainer::{Progress, TaskView};
 
 /// Steps between two looks at the running loss.
 const REPORT_EVERY: usize = 64;
+
+/// How training draws, but for the SH degree of the first frame.
+pub(crate) const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None };
 
 /// What the steps of a lane share besides the Gaussians.
 pub(crate) struct Workspace<'a> {
@@ -96,37 +97,32 @@ impl<'a> Workspace<'a> {
         Ok([f64::from(progress[0]), f64::from(progress[1])])
     }
 
-    /// Reports now and then, and at the end. Waits for the device when it does.
-    pub fn report(
+    /// Now and then, and at the end, how far the training has come. Waits for the device when it does.
+    pub fn progress(
         &self,
         done: usize,
         iterations: usize,
-        optimiser: &Optimiser,
-        report: &mut dyn FnMut(Progress),
-    ) -> Result<(), GpuError> {
+        gaussians: usize,
+    ) -> Result<Option<Progress>, GpuError> {
         if !done.is_multiple_of(REPORT_EVERY) && done != iterations {
-            return Ok(());
+            return Ok(None);
         }
         let [loss, mse] = self.running()?;
-        report(Progress {
-            iteration: done,
-            iterations,
-            loss,
-            psnr: -10.0 * mse.max(1e-12).log10(),
-            gaussians: optimiser.scene.count,
-        });
-        Ok(())
+        let psnr = -10.0 * mse.max(1e-12).log10();
+        Ok(Some(Progress { iteration: done, iterations, loss, psnr, gaussians }))
     }
 }
 
 /// Pixels of the largest of some views.
-pub(crate) fn largest_view(views: &[TrainingView]) -> usize {
-    views.iter().map(|v| v.camera.size().pixels()).max().unwrap_or(1)
+pub(crate) fn largest_view(views: &[TaskView]) -> usize {
+    views.iter().map(|v| v.view.camera.size().pixels()).max().unwrap_or(1)
 }
 
 /// Layers that hold the largest of some views whole.
-pub(crate) fn shared_layers(gpu: &Gpu, views: &[TrainingView]) -> Result<Buffer, GpuError> {
-    let tiles =
-        |v: &TrainingView| v.camera.size().width.div_ceil(TILE) * v.camera.size().height.div_ceil(TILE);
+pub(crate) fn shared_layers(gpu: &Gpu, views: &[TaskView]) -> Result<Buffer, GpuError> {
+    let tiles = |v: &TaskView| {
+        let size = v.view.camera.size();
+        size.width.div_ceil(TILE) * size.height.div_ceil(TILE)
+    };
     gpu.buffer("layers", GpuView::layer_bytes(views.iter().map(tiles).max().unwrap_or(1)))
 }

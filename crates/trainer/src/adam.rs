@@ -3,6 +3,7 @@
 //! Every Gaussian counts its own steps, so that one born by densification, or rarely seen, gets the bias correction
 //! of its own history.
 
+use crate::backend::Columns;
 use crate::densify::IndexMap;
 use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Gaussians;
@@ -95,11 +96,21 @@ pub struct Adam {
 impl Adam {
     /// Zero moments for `n` Gaussians of `sh_degree`.
     pub fn new(n: usize, sh_degree: usize) -> Self {
-        let zeros = Gaussians::zeros(n, sh_degree);
+        Self::of_columns(n, sh_degree, Columns::ALL)
+    }
+
+    /// The same without memory for the columns that do not move. Such a set keeps its Gaussians.
+    pub fn of_columns(n: usize, sh_degree: usize, columns: Columns) -> Self {
+        let moments = || {
+            let mut moments = Gaussians::zeros(if columns.geometry { n } else { 0 }, sh_degree);
+            let colours = if columns.colours { n } else { 0 };
+            moments.sh.resize(colours * moments.sh_stride(), [0.0; 3]);
+            moments
+        };
         Self {
-            sh_rates: vec![0.0; 3 * zeros.sh_stride()],
-            first: zeros.clone(),
-            second: zeros,
+            sh_rates: vec![0.0; 3 * ffgs_core::sh_coefficients(sh_degree)],
+            first: moments(),
+            second: moments(),
             steps: vec![0; n],
             corrections: corrections(),
         }
@@ -133,7 +144,7 @@ impl Adam {
     /// One step of `gaussians` down `gradient` (same shape). A column with rate 0 keeps its moments too.
     ///
     /// # Panics
-    /// When the shapes of the arguments and the state differ.
+    /// When the shapes of the arguments and the state differ, or a column with a rate has no moments.
     pub fn step(
         &mut self,
         gaussians: &mut Gaussians,
@@ -143,10 +154,7 @@ impl Adam {
     ) {
         let n = self.len();
         assert!(gaussians.len() == n && gradient.len() == n, "{n} moments, {} Gaussians", gaussians.len());
-        assert!(
-            gaussians.sh.len() == self.first.sh.len() && gradient.sh.len() == self.first.sh.len(),
-            "SH degree"
-        );
+        assert!(gaussians.sh.len() == gradient.sh.len(), "SH degree");
         if let Update::Touched(flags) = update {
             assert_eq!(flags.len(), n, "touched flags");
         }
@@ -220,6 +228,7 @@ impl Shared<'_> {
         if rates.iter().all(|&r| r == 0.0) {
             return;
         }
+        assert_eq!(first.len(), parameters.len(), "moments of a column that moves");
         let length = CHUNK * rates.len();
         parameters
             .par_chunks_mut(length)
@@ -428,6 +437,25 @@ mod tests {
             assert_eq!(sparse.select(&[i]), want.select(&[i]));
             assert_eq!(adam.steps()[i], u32::from(hit));
         }
+    }
+
+    #[test]
+    fn columns_that_do_not_move_have_no_moments() {
+        let (start, gradient) = (waves(4, 1, 0.0), waves(4, 1, 1.0));
+        let (mut all, mut colours) = (start.clone(), start);
+        let rates = LearningRates { means: 0.0, quats: 0.0, scales: 0.0, opacities: 0.0, ..RATES };
+        Adam::new(4, 1).step(&mut all, &gradient, &rates, Update::Dense);
+        let mut adam = Adam::of_columns(4, 1, Columns::COLOURS);
+        adam.step(&mut colours, &gradient, &rates, Update::Dense);
+        assert_eq!(colours, all);
+        assert!(adam.first.is_empty() && adam.second.is_empty() && adam.second.sh.len() == 16);
+    }
+
+    #[test]
+    #[should_panic(expected = "a column that moves")]
+    fn a_rate_for_a_column_without_moments_is_refused() {
+        let (mut start, gradient) = (waves(4, 1, 0.0), waves(4, 1, 1.0));
+        Adam::of_columns(4, 1, Columns::COLOURS).step(&mut start, &gradient, &RATES, Update::Dense);
     }
 
     #[test]

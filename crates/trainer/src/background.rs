@@ -1,7 +1,8 @@
 //! What the static lane and the sky lane share. Both look only at pixels outside the dilated foreground mask, so that
 //! they need nothing from the dynamic lane of the same frame.
 
-use crate::{LearningRates, SkyView};
+use crate::backend::TaskView;
+use crate::{LearningRates, SkyView, TexelGradients};
 use ffgs_core::{Camera, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use serde::{Deserialize, Serialize};
 
@@ -89,8 +90,13 @@ impl BackgroundConfig {
     }
 }
 
+/// A view of which the background counts.
+pub(crate) fn background_view<'a>(view: &'a TrainingView, config: &BackgroundConfig) -> TaskView<'a> {
+    TaskView { view, region: Some(outside(view, config.mask_dilation)), tiles: None }
+}
+
 /// Pixels of a view outside the foreground, grown by `dilation` pixels.
-pub fn outside(view: &TrainingView, dilation: usize) -> Mask {
+pub(crate) fn outside(view: &TrainingView, dilation: usize) -> Mask {
     let grown = view.mask.dilated(dilation);
     let inverse = grown.data().iter().map(|&v| u8::from(v == 0)).collect();
     Mask::new(grown.size(), inverse).unwrap_or_else(|| Mask::filled(grown.size(), true))
@@ -107,10 +113,38 @@ impl SkyBehind {
         Self { view: None, image: PlanarImage::zeros(ImageSize { width: 1, height: 1 }) }
     }
 
-    pub(crate) fn render(&mut self, sky: &SkyCube, camera: &Camera) -> &PlanarImage {
+    /// Draws what `camera` sees.
+    pub(crate) fn aim(&mut self, sky: &SkyCube, camera: &Camera) {
         let view = self.view.get_or_insert_with(|| SkyView::new(camera, sky.face_size()));
         view.aim(camera);
         view.render(sky, &mut self.image);
+    }
+
+    /// What was drawn last.
+    pub(crate) fn image(&self) -> &PlanarImage {
         &self.image
+    }
+
+    /// The same, to be overwritten by the derivative of a loss.
+    pub(crate) fn image_mut(&mut self) -> &mut PlanarImage {
+        &mut self.image
+    }
+
+    /// Draws what `camera` sees, and shows it.
+    pub(crate) fn render(&mut self, sky: &SkyCube, camera: &Camera) -> &PlanarImage {
+        self.aim(sky, camera);
+        &self.image
+    }
+
+    /// Adds the derivative by the texels, given that by the pixels of the last camera.
+    pub(crate) fn backward(&self, gradient: &PlanarImage, out: &mut TexelGradients) {
+        if let Some(view) = &self.view {
+            view.backward(gradient, out);
+        }
+    }
+
+    /// Likewise, given in the place of the image.
+    pub(crate) fn backward_of_image(&self, out: &mut TexelGradients) {
+        self.backward(&self.image, out);
     }
 }

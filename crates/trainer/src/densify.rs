@@ -25,8 +25,6 @@ pub struct DensityConfig {
     pub prune_opacity: f32,
     /// Largest standard deviation that is kept, as a share of the scene's extent; infinite = off.
     pub prune_scale: f32,
-    /// Largest projected radius that is kept (px); infinite = off. 3DGS turns it on after the first opacity reset.
-    pub prune_radius: f32,
     /// Number of Gaussians never exceeded by growth.
     pub max_gaussians: usize,
 }
@@ -38,22 +36,43 @@ impl Default for DensityConfig {
             split_scale: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
-            prune_radius: f32::INFINITY,
             max_gaussians: 1_000_000,
         }
     }
 }
 
-/// What one rendered view says of every Gaussian; columns of length N.
-#[derive(Clone, Copy, Debug)]
-pub struct ViewStatistics<'a> {
-    /// Norm of the loss gradient by the projected mean, scaled from pixels to normalised device coordinates:
+/// What the views since the last round of density control say of every Gaussian; columns of length N.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GradientSums {
+    /// Sum of the norms of the loss gradient by the projected mean, scaled from pixels to normalised device coordinates:
     /// `|(dL/dx * width / 2, dL/dy * height / 2)|`.
-    pub gradient_norms: &'a [f32],
-    /// Whether the Gaussian was drawn in this view.
-    pub visible: &'a [bool],
-    /// Projected radius (px).
-    pub radii: &'a [f32],
+    pub norms: Vec<f32>,
+    /// Number of views that drew the Gaussian.
+    pub views: Vec<u32>,
+}
+
+impl GradientSums {
+    /// Nothing yet of `n` Gaussians.
+    pub fn new(n: usize) -> Self {
+        Self { norms: vec![0.0; n], views: vec![0; n] }
+    }
+
+    /// Adds one view: the norms of those Gaussians that it drew.
+    ///
+    /// # Panics
+    /// When a column has another length than the set.
+    pub fn add(&mut self, norms: &[f32], drawn: &[bool]) {
+        let n = self.views.len();
+        assert_eq!([norms.len(), drawn.len()], [n; 2], "columns of the view");
+        for i in (0..n).filter(|&i| drawn[i]) {
+            self.norms[i] += norms[i];
+            self.views[i] += 1;
+        }
+    }
+
+    fn mean(&self, i: usize) -> f32 {
+        if self.views[i] == 0 { 0.0 } else { self.norms[i] / self.views[i] as f32 }
+    }
 }
 
 /// What becomes of each Gaussian, columns of length N. A Gaussian is never both grown and pruned by size.
@@ -103,62 +122,26 @@ impl IndexMap {
     }
 }
 
-/// Gathers gradient statistics over views and turns them into growth and removal.
+/// Turns gradient sums into growth and removal.
 #[derive(Clone, Debug)]
 pub struct DensityControl {
     config: DensityConfig,
-    gradient_sums: Vec<f32>,
-    views: Vec<u32>,
-    radii: Vec<f32>,
     rng: ChaCha8Rng,
 }
 
 impl DensityControl {
-    /// No statistics yet of `n` Gaussians; `seed` fixes where children of a split come to lie.
-    pub fn new(config: DensityConfig, n: usize, seed: u64) -> Self {
-        let rng = ChaCha8Rng::seed_from_u64(seed);
-        Self { config, gradient_sums: vec![0.0; n], views: vec![0; n], radii: vec![0.0; n], rng }
+    /// `seed` fixes where children of a split come to lie.
+    pub fn new(config: DensityConfig, seed: u64) -> Self {
+        Self { config, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
-    /// The thresholds; may change between plans.
-    pub fn config_mut(&mut self) -> &mut DensityConfig {
-        &mut self.config
-    }
-
-    /// Adds one view.
-    ///
-    /// # Panics
-    /// When a column has another length than the set.
-    pub fn observe(&mut self, view: &ViewStatistics) {
-        let n = self.views.len();
-        let lengths = [view.gradient_norms.len(), view.visible.len(), view.radii.len()];
-        assert_eq!(lengths, [n; 3], "columns of the view");
-        for i in (0..n).filter(|&i| view.visible[i]) {
-            self.gradient_sums[i] += view.gradient_norms[i];
-            self.views[i] += 1;
-            self.radii[i] = self.radii[i].max(view.radii[i]);
-        }
-    }
-
-    /// Adds sums over several views, columns of length N: gradient norms as in [`ViewStatistics`], and in how many views
-    /// each Gaussian was drawn. Projected radii are not known.
-    ///
-    /// # Panics
-    /// When a column has another length than the set.
-    pub fn observe_sums(&mut self, gradient_norms: &[f32], views: &[u32]) {
-        let n = self.views.len();
-        assert_eq!([gradient_norms.len(), views.len()], [n; 2], "columns of the sums");
-        self.gradient_sums.iter_mut().zip(gradient_norms).for_each(|(sum, norm)| *sum += norm);
-        self.views.iter_mut().zip(views).for_each(|(sum, views)| *sum += views);
-    }
-
-    /// Decides by the statistics so far; `extent` is the radius of the camera positions (m).
-    pub fn plan(&self, gaussians: &Gaussians, extent: f32) -> DensityPlan {
+    /// Decides by `sums`; `extent` is the radius of the camera positions (m).
+    pub fn plan(&self, gaussians: &Gaussians, sums: &GradientSums, extent: f32) -> DensityPlan {
         let prune: Vec<bool> = (0..gaussians.len()).map(|i| self.is_pruned(gaussians, extent, i)).collect();
         let kept = prune.iter().filter(|&&p| !p).count();
         let room = self.config.max_gaussians.saturating_sub(kept);
         let (mut clone, mut split) = (Vec::new(), Vec::new());
-        for i in self.best_candidates(&prune, room) {
+        for i in self.best_candidates(&prune, sums, room) {
             let large = largest_scale(gaussians, i) > self.config.split_scale * extent;
             if large { split.push(i) } else { clone.push(i) }
         }
@@ -166,30 +149,25 @@ impl DensityControl {
     }
 
     /// Candidates for growth, at most `room` (each adds one Gaussian), ascending.
-    fn best_candidates(&self, prune: &[bool], room: usize) -> Vec<usize> {
-        let grows = |i: &usize| !prune[*i] && self.mean_gradient(*i) >= self.config.grow_gradient;
+    fn best_candidates(&self, prune: &[bool], sums: &GradientSums, room: usize) -> Vec<usize> {
+        let grows = |i: &usize| !prune[*i] && sums.mean(*i) >= self.config.grow_gradient;
         let mut candidates: Vec<usize> = (0..prune.len()).filter(grows).collect();
         if candidates.len() > room {
-            candidates
-                .sort_by(|&a, &b| self.mean_gradient(b).total_cmp(&self.mean_gradient(a)).then(a.cmp(&b)));
+            candidates.sort_by(|&a, &b| sums.mean(b).total_cmp(&sums.mean(a)).then(a.cmp(&b)));
             candidates.truncate(room);
             candidates.sort_unstable();
         }
         candidates
     }
 
-    fn mean_gradient(&self, i: usize) -> f32 {
-        if self.views[i] == 0 { 0.0 } else { self.gradient_sums[i] / self.views[i] as f32 }
-    }
-
     /// NaN opacities and scales are removed as well.
     fn is_pruned(&self, gaussians: &Gaussians, extent: f32, i: usize) -> bool {
         let opaque = sigmoid(gaussians.opacity_logits[i]) >= self.config.prune_opacity;
         let small = largest_scale(gaussians, i) <= self.config.prune_scale * extent;
-        !(opaque && small && self.radii[i] <= self.config.prune_radius)
+        !(opaque && small)
     }
 
-    /// Carries out a plan and starts the statistics anew. Kept Gaussians come first in their old order, then clones,
+    /// Carries out a plan. Kept Gaussians come first in their old order, then clones,
     /// then children of splits. The caller passes the map on to `Adam::remap` and to its own columns.
     pub fn apply(&mut self, plan: &DensityPlan, gaussians: &mut Gaussians) -> IndexMap {
         let mut gone = plan.prune.clone();
@@ -204,7 +182,6 @@ impl DensityControl {
         for i in first_child..sources.len() {
             self.make_child(gaussians, i);
         }
-        self.restart(sources.len());
         IndexMap { sources, keeps_moments }
     }
 
@@ -224,15 +201,6 @@ impl DensityControl {
         let (radius, angle): (f32, f32) = (self.rng.random(), self.rng.random());
         // 1 - u lies in (0, 1], so that the logarithm is finite.
         (-2.0 * (1.0 - radius).ln()).sqrt() * (std::f32::consts::TAU * angle).cos()
-    }
-
-    fn restart(&mut self, n: usize) {
-        self.gradient_sums.clear();
-        self.gradient_sums.resize(n, 0.0);
-        self.views.clear();
-        self.views.resize(n, 0);
-        self.radii.clear();
-        self.radii.resize(n, 0.0);
     }
 }
 
@@ -261,21 +229,23 @@ mod tests {
         g
     }
 
-    fn observed(config: DensityConfig) -> DensityControl {
-        let mut control = DensityControl::new(config, 5, 7);
-        let gradient_norms = &[3e-4, 5e-4, 1e-4, 1e-3, 1e-3];
-        let view = ViewStatistics { gradient_norms, visible: &[true; 5], radii: &[1.0; 5] };
-        control.observe(&view);
-        control.observe(&ViewStatistics { visible: &[false; 5], ..view });
-        control
+    fn control(config: DensityConfig) -> DensityControl {
+        DensityControl::new(config, 7)
+    }
+
+    fn sums() -> GradientSums {
+        let (mut sums, norms) = (GradientSums::new(5), [3e-4, 5e-4, 1e-4, 1e-3, 1e-3]);
+        sums.add(&norms, &[true; 5]);
+        sums.add(&norms, &[false; 5]);
+        sums
     }
 
     #[test]
     fn grows_by_size_and_removes() {
         let mut g = scene();
         let parent = g.clone();
-        let mut control = observed(DensityConfig::default());
-        let plan = control.plan(&g, 1.0);
+        let mut control = control(DensityConfig::default());
+        let plan = control.plan(&g, &sums(), 1.0);
         assert_eq!((&plan.clone[..], &plan.split[..]), (&[0][..], &[1][..]));
         assert_eq!(plan.prune, [false, false, false, true, true]);
         let map = control.apply(&plan, &mut g);
@@ -292,15 +262,15 @@ mod tests {
     #[test]
     fn the_cap_admits_the_largest_gradients() {
         let config = DensityConfig { max_gaussians: 4, ..DensityConfig::default() };
-        let plan = observed(config).plan(&scene(), 1.0);
+        let plan = control(config).plan(&scene(), &sums(), 1.0);
         assert_eq!((plan.clone.len(), plan.split), (0, vec![1]));
     }
 
     #[test]
     fn one_seed_one_result() {
         let run = || {
-            let (mut g, mut control) = (scene(), observed(DensityConfig::default()));
-            let plan = control.plan(&g, 1.0);
+            let (mut g, mut control) = (scene(), control(DensityConfig::default()));
+            let plan = control.plan(&g, &sums(), 1.0);
             control.apply(&plan, &mut g);
             g
         };

@@ -3,7 +3,9 @@
 //! Everything here gives the same bits for any number of rayon threads.
 
 mod adam;
+mod backend;
 mod background;
+mod cpu;
 mod densify;
 mod dynamic_lane;
 mod first_frame;
@@ -19,16 +21,21 @@ mod static_lane;
 mod view;
 
 pub use adam::{Adam, AdamVec, LearningRates, Update, bias_corrections};
-pub use background::{BackgroundConfig, StaticMethod, outside as background_region};
-pub use densify::{DensityConfig, DensityControl, DensityPlan, IndexMap, ViewStatistics, reset_opacities};
+pub use backend::{
+    Around, Columns, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView,
+    TrainBackend,
+};
+pub use background::{BackgroundConfig, StaticMethod};
+pub use cpu::{CpuBackend, CpuLayer, CpuSky};
+pub use densify::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, reset_opacities};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
-pub use first_frame::{FirstFrame, FirstFrameConfig, density_config, train_first_frame};
+pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use gain::{Gain, PixelNoise, information_gain};
 pub use initialise::{INITIAL_OPACITY, from_points};
-pub use loss::{LossRegion, LossValue, PhotometricLoss};
+pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
 pub use prior::{Drift, KINDS, Kind, Prior};
 pub use schedule::{Epochs, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
-pub use static_lane::StaticLane;
+pub use static_lane::{Photographed, StaticLane};
 pub use view::Progress;

@@ -25,7 +25,7 @@ const MAX_TILES: usize = 4;
 const MAX_COLUMNS: usize = MAX_TILES * LANES;
 
 /// Weight of `1 - SSIM` in the loss; L1 has the rest (3DGS `lambda_dssim`).
-pub(crate) const SSIM_WEIGHT: f64 = 0.2;
+pub const SSIM_WEIGHT: f64 = 0.2;
 
 /// The pixels that count.
 #[derive(Clone, Copy, Debug)]

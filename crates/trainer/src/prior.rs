@@ -4,6 +4,7 @@
 //! that the photographs see well moved (an extended Kalman filter whose process noise follows from its innovations).
 
 use crate::gain::PixelNoise;
+use crate::loss::SSIM_WEIGHT;
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::{Gradients, Information};
 use glam::{DVec3, Quat};
@@ -201,6 +202,26 @@ pub struct Prior<'a> {
     pub weight: f32,
 }
 
+impl Prior<'_> {
+    /// The derivative that a step adds to that of a loss of `pixels` pixels, (N) shaped like the Gaussians: at `now`, when
+    /// `views` views see each Gaussian, for those that are `touched`. What every backend must agree with.
+    pub fn pull(
+        &self,
+        start: &Gaussians,
+        views: Vec<u32>,
+        now: &Gaussians,
+        pixels: usize,
+        touched: &[bool],
+    ) -> Gaussians {
+        let mut out = Gradients::default();
+        out.reset(now.len(), now.sh_degree());
+        out.touched.copy_from_slice(touched);
+        out.fill_untouched();
+        Penalty::new(*self, start, views).add(now, pixels, &mut out);
+        out.gaussians
+    }
+}
+
 /// The penalty `1/2 d^T Lambda d` on the change since the start, shared out over the views that see a Gaussian.
 pub(crate) struct Penalty<'a> {
     prior: Prior<'a>,
@@ -218,8 +239,9 @@ impl<'a> Penalty<'a> {
     ///
     /// At an error of one sigma its derivative `l1_share / (3 pixels)` stands for `1 / (sigma correlated)` in units of the
     /// log likelihood.
-    pub(crate) fn add(&self, now: &Gaussians, l1_share: f32, pixels: usize, out: &mut Gradients) {
+    pub(crate) fn add(&self, now: &Gaussians, pixels: usize, out: &mut Gradients) {
         let PixelNoise { sigma, correlated } = self.prior.noise;
+        let l1_share = 1.0 - SSIM_WEIGHT as f32;
         let unit = self.prior.weight * l1_share * (sigma * correlated) as f32 / (3 * pixels.max(1)) as f32;
         let share = |i: usize| unit / self.views[i].max(1) as f32;
         let (start, known, g, touched) =
@@ -345,7 +367,7 @@ mod tests {
         gradients.reset(3, 1);
         gradients.touched = vec![true, true, false];
         gradients.gaussians = Gaussians::zeros(3, 1);
-        penalty.add(&now, 0.8, 100, &mut gradients);
+        penalty.add(&now, 100, &mut gradients);
         // Half of the penalty falls to each of the two views; 0.8 / 300 of the loss is 1 / 0.5 of the likelihood.
         let unit = 0.5 * (0.8 / 300.0) * 0.5;
         let check = |found: f32, change: &dyn Fn(&mut Gaussians, f32)| {

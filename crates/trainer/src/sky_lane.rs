@@ -1,11 +1,11 @@
 //! The sky lane: texels of the cube map, through what the static layer lets through.
 
-use crate::background::{BackgroundConfig, outside};
+use crate::backend::{SkyTask, SkyTraining, TrainBackend};
+use crate::background::{BackgroundConfig, background_view};
 use crate::schedule::Epochs;
-use crate::sky::sky_share;
-use crate::{AdamVec, SKY_LANE_DOUBT, SkyView, TexelGradients, Update};
-use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use std::sync::Arc;
 
 /// Pixels that let more than this through show the sky.
 const OPEN: f32 = 0.5;
@@ -25,78 +25,41 @@ pub fn shows_sky(layer: &Gaussians, views: &[TrainingView]) -> bool {
 }
 
 /// Renders a layer before black.
-fn render_alone(layer: &Gaussians, view: &TrainingView, tape: &mut RenderTape) {
+pub(crate) fn render_alone(layer: &Gaussians, view: &TrainingView, tape: &mut RenderTape) {
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
     CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
 }
 
-/// Finetunes the sky through the transmittance that `layer` leaves; the layer is rendered once a view.
-pub fn train_sky(
+/// Finetunes the sky through the transmittance that `layer` leaves.
+///
+/// # Errors
+/// When the device fails or has too little memory; `sky` is then as it was.
+pub fn train_sky<B: TrainBackend>(
+    backend: &B,
     config: &BackgroundConfig,
     views: &[TrainingView],
-    layer: &Gaussians,
+    layer: &Arc<Gaussians>,
     sky: &mut SkyCube,
     seed: u64,
-) {
-    if config.sky_iterations == 0 || sky.is_none() {
-        return;
+) -> Result<(), B::Error> {
+    if views.is_empty() || config.sky_iterations == 0 || sky.is_none() {
+        return Ok(());
     }
-    let Some(first) = views.first() else { return };
-    let mut tape = RenderTape::default();
-    let mut target = |view| SkyTarget::new(view, layer, config.mask_dilation, &mut tape);
-    let cached: Vec<SkyTarget> = views.iter().map(&mut target).collect();
-    let mut aimed = SkyView::new(&first.camera, sky.face_size());
-    let mut adam = AdamVec::new(sky.texels.len(), 3);
+    let tasks = views.iter().map(|view| background_view(view, config)).collect();
+    let mut training = backend.upload_sky(SkyTask { sky, rate: config.sky_rate, layer, views: tasks })?;
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
-    let mut rendered = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
-    let mut gradient = TexelGradients::new(sky.texels.len());
     for _ in 0..config.sky_iterations {
-        let Some(index) = epochs.draw() else { return };
-        let target = &cached[index];
-        aimed.aim(&views[index].camera);
-        aimed.render(sky, &mut rendered);
-        target.residual(&mut rendered);
-        gradient.clear();
-        aimed.backward(&rendered, &mut gradient);
-        let (texels, sums) = (sky.texels.as_flattened_mut(), gradient.sums.as_flattened());
-        let rate = (config.sky_rate, SKY_LANE_DOUBT);
-        adam.step(texels, sums, rate, Update::Touched(&gradient.touched));
+        let Some(view) = epochs.draw() else { break };
+        training.step(view)?;
     }
-}
-
-struct SkyTarget {
-    /// Photograph minus the layer's own colour.
-    remainder: PlanarImage,
-    /// Transmittance; 0 where the foreground may be.
-    transmittance: Vec<f32>,
-}
-
-impl SkyTarget {
-    fn new(view: &TrainingView, layer: &Gaussians, dilation: usize, tape: &mut RenderTape) -> Self {
-        render_alone(layer, view, tape);
-        let mut remainder = PlanarImage::from(&view.image);
-        remainder.data_mut().iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
-        let region = outside(view, dilation);
-        let counted = tape.transmittance().iter().zip(region.data());
-        let transmittance = counted.map(|(&t, &inside)| if inside == 0 { 0.0 } else { t }).collect();
-        Self { remainder, transmittance }
-    }
-
-    /// Replaces a rendered sky by the derivative of half the squared error, weighted by the transmittance once more: the
-    /// error of a hidden pixel is not the sky's.
-    fn residual(&self, sky: &mut PlanarImage) {
-        let pixels = self.transmittance.len();
-        for (i, v) in sky.data_mut().iter_mut().enumerate() {
-            let t = self.transmittance[i % pixels];
-            *v = t * sky_share(t) * (t * *v - self.remainder.data()[i]);
-        }
-    }
+    training.download()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Camera, ImageRgb8, Intrinsics, Mask};
+    use crate::{CpuBackend, SkyView};
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
 
     const SIZE: ImageSize = ImageSize { width: 32, height: 24 };
 
@@ -121,7 +84,8 @@ mod tests {
         let (view, start) = (view(200), SkyCube::filled(16, [0.5; 3]));
         let mut sky = start.clone();
         let config = BackgroundConfig { sky_iterations: 300, sky_rate: 5e-3, ..BackgroundConfig::default() };
-        train_sky(&config, std::slice::from_ref(&view), &wall(-0.3), &mut sky, 1);
+        train_sky(&CpuBackend, &config, std::slice::from_ref(&view), &Arc::new(wall(-0.3)), &mut sky, 1)
+            .unwrap();
         let mut picture = PlanarImage::zeros(SIZE);
         SkyView::new(&view.camera, 16).render(&sky, &mut picture);
         let at = |column: usize| picture.pixel(12 * SIZE.width + column)[0];
@@ -136,7 +100,8 @@ mod tests {
         assert!(!shows_sky(&wall(3.0), &views));
         assert!(shows_sky(&wall(-0.3), &views));
         let mut none = SkyCube::none([0.3; 3]);
-        train_sky(&BackgroundConfig::default(), &views, &wall(-0.3), &mut none, 1);
+        train_sky(&CpuBackend, &BackgroundConfig::default(), &views, &Arc::new(wall(-0.3)), &mut none, 1)
+            .unwrap();
         assert_eq!(none, SkyCube::none([0.3; 3]));
     }
 }

@@ -6,16 +6,18 @@ use ffgs_core::{
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LossRegion, PhotometricLoss, SkyView,
-    StaticLane, StaticMethod, Surroundings, robust_extent, train_dynamic, train_first_frame, train_sky,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LossRegion, Photographed,
+    PhotometricLoss, SkyView, StaticLane, StaticMethod, Surroundings, robust_extent, train_dynamic,
+    train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
+use std::sync::Arc;
 
 const SIZE: ImageSize = ImageSize { width: 48, height: 36 };
 const SEED: u64 = 7;
 
 struct World {
-    fixed: Gaussians,
+    fixed: Arc<Gaussians>,
     moving: Gaussians,
     sky: SkyCube,
     views: Vec<TrainingView>,
@@ -82,7 +84,7 @@ fn world() -> World {
         TrainingView { camera, image, mask: disc() }
     };
     let views = [-0.3, -0.1, 0.1, 0.3].map(view).to_vec();
-    World { fixed, moving, sky, views }
+    World { fixed: Arc::new(fixed), moving, sky, views }
 }
 
 impl World {
@@ -103,6 +105,20 @@ impl World {
             }
         }
         sum / count
+    }
+
+    /// The dynamic lane.
+    fn train(&self, config: &DynamicLaneConfig, layer: &mut Gaussians) {
+        let Ok(()) = train_dynamic(&CpuBackend, config, &self.views, self.around(), layer, SEED, &mut |_| {});
+    }
+
+    /// The static lane, from wrong colours.
+    fn recolour(&self, method: StaticMethod) -> Gaussians {
+        let mut layer = Arc::new(recoloured(&self.fixed));
+        let photographed = Photographed { views: &self.views, sky: &self.sky };
+        let (config, mut lane) = (static_config(method), StaticLane::default());
+        let Ok(()) = lane.train(&CpuBackend, &config, photographed, &mut layer, SEED, &mut |_| {});
+        Arc::unwrap_or_clone(layer)
     }
 
     /// The moving layer a little off its place and in wrong colours.
@@ -139,7 +155,7 @@ fn a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss() {
     let start = world.disturbed();
     let config = DynamicLaneConfig { iterations: 1, outside_alpha: 0.0, ..DynamicLaneConfig::default() };
     let mut moved = start.clone();
-    train_dynamic(&config, &world.views, world.around(), &mut moved, SEED, &mut |_| {});
+    world.train(&config, &mut moved);
 
     let view = &world.views[0];
     let region = view.mask.dilated(config.loss_dilation);
@@ -180,7 +196,7 @@ fn the_dynamic_lane_brings_a_disturbed_layer_back() {
     let mut layer = world.disturbed();
     let before = world.error(&world.fixed, &layer, &world.sky, true);
     let config = DynamicLaneConfig { iterations: 200, position_rate: 1e-2, ..DynamicLaneConfig::default() };
-    train_dynamic(&config, &world.views, world.around(), &mut layer, SEED, &mut |_| {});
+    world.train(&config, &mut layer);
     let after = world.error(&world.fixed, &layer, &world.sky, true);
     println!("{before:.2e} -> {after:.2e}");
     assert!(after < 0.5 * before, "{before:.2e} -> {after:.2e}");
@@ -191,10 +207,8 @@ fn both_methods_of_the_static_lane_restore_colours() {
     let world = world();
     let nothing = Gaussians::zeros(0, 1);
     for method in [StaticMethod::Solve, StaticMethod::Steps] {
-        let mut layer = recoloured(&world.fixed);
-        let before = world.error(&layer, &nothing, &world.sky, false);
-        let config = static_config(method);
-        StaticLane::default().train(&config, &world.views, &world.sky, &mut layer, SEED, &mut |_| {});
+        let before = world.error(&recoloured(&world.fixed), &nothing, &world.sky, false);
+        let layer = world.recolour(method);
         let after = world.error(&layer, &nothing, &world.sky, false);
         println!("{method:?}: {before:.2e} -> {after:.2e}");
         assert!(after < 0.7 * before, "{method:?}: {before:.2e} -> {after:.2e}");
@@ -208,7 +222,14 @@ fn the_sky_lane_restores_texels() {
     let nothing = Gaussians::zeros(0, 1);
     let mut sky = SkyCube::filled(8, [0.5; 3]);
     let before = world.error(&world.fixed, &nothing, &sky, false);
-    train_sky(&static_config(StaticMethod::Solve), &world.views, &world.fixed, &mut sky, SEED);
+    let Ok(()) = train_sky(
+        &CpuBackend,
+        &static_config(StaticMethod::Solve),
+        &world.views,
+        &world.fixed,
+        &mut sky,
+        SEED,
+    );
     let after = world.error(&world.fixed, &nothing, &sky, false);
     println!("{before:.2e} -> {after:.2e}");
     assert!(after < 0.7 * before, "{before:.2e} -> {after:.2e}");
@@ -218,7 +239,9 @@ fn first_frame(world: &World) -> FirstFrame {
     let config = FirstFrameConfig { iterations: 120, ..FirstFrameConfig::default() };
     let start = joint(&recoloured(&world.fixed), &world.disturbed());
     let sky = SkyCube::filled(8, [0.5; 3]);
-    train_first_frame(&config, &world.views, start, sky, 4.0, SEED, &mut |_| {})
+    let start = FirstFrame { gaussians: start, sky };
+    let Ok(trained) = train_first_frame(&CpuBackend, &config, &world.views, start, 4.0, SEED, &mut |_| {});
+    trained
 }
 
 #[test]
@@ -240,15 +263,17 @@ fn the_first_frame_comes_nearer_to_the_photographs() {
 fn all_lanes(world: &World) -> (Gaussians, Vec<Gaussians>, SkyCube, FirstFrame) {
     let mut moving = world.disturbed();
     let config = DynamicLaneConfig { iterations: 20, ..DynamicLaneConfig::default() };
-    train_dynamic(&config, &world.views, world.around(), &mut moving, SEED, &mut |_| {});
-    let fixed = [StaticMethod::Solve, StaticMethod::Steps].map(|method| {
-        let mut layer = recoloured(&world.fixed);
-        let config = static_config(method);
-        StaticLane::default().train(&config, &world.views, &world.sky, &mut layer, SEED, &mut |_| {});
-        layer
-    });
+    world.train(&config, &mut moving);
+    let fixed = [StaticMethod::Solve, StaticMethod::Steps].map(|method| world.recolour(method));
     let mut sky = SkyCube::filled(8, [0.5; 3]);
-    train_sky(&static_config(StaticMethod::Solve), &world.views, &world.fixed, &mut sky, SEED);
+    let Ok(()) = train_sky(
+        &CpuBackend,
+        &static_config(StaticMethod::Solve),
+        &world.views,
+        &world.fixed,
+        &mut sky,
+        SEED,
+    );
     (moving, fixed.to_vec(), sky, first_frame(world))
 }
 

@@ -21,7 +21,7 @@ pub(super) fn run(input: &Input, device: &Device) -> Result<NpzWriter> {
     let view = View { camera: &camera, background, tiles: None };
     let mut gradients = Gradients::default();
     let rendered = match device.open()?.first() {
-        Some(gpu) => GpuRasterizer::new(gpu, options)?.render_and_differentiate(
+        Some(device) => GpuRasterizer::new(&device.gpu, options)?.render_and_differentiate(
             &gaussians,
             &view,
             &upstream.gradients(),

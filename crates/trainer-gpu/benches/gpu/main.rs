@@ -13,6 +13,7 @@ mod steps;
 use anyhow::{Context, Result};
 use clap::Parser;
 use ffgs_gpu::Gpu;
+use ffgs_rasterizer_gpu::SceneDevice;
 use rows::Rows;
 use std::path::PathBuf;
 
@@ -44,17 +45,18 @@ pub struct Options {
 
 fn main() -> Result<()> {
     let options = Options::parse();
-    let gpu = Gpu::open(options.adapter)?;
-    let mut rows = Rows::new(&gpu, options.samples);
-    machine::rates(&gpu, &mut rows)?;
+    let device = SceneDevice::new(Gpu::open(options.adapter)?);
+    let gpu = &device.gpu;
+    let mut rows = Rows::new(gpu, options.samples);
+    machine::rates(gpu, &mut rows)?;
     for size in &options.sizes {
         let size = image_size(size)?;
         for &count in &options.counts {
-            steps::step(&gpu, size, count, &mut rows)?;
+            steps::step(gpu, size, count, &mut rows)?;
         }
     }
     for &share in &options.shares {
-        lanes::dynamic(&gpu, share, &mut rows)?;
+        lanes::dynamic(&device, share, &mut rows)?;
     }
     match &options.out {
         Some(path) => std::fs::write(path, rows.text())?,

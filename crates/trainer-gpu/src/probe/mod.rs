@@ -11,8 +11,8 @@ use crate::workspace::Workspace;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Commands, Gpu, GpuError, KernelTime};
 use ffgs_rasterizer::RenderOptions;
-use ffgs_rasterizer_gpu::{backward, prepare, render};
-use ffgs_trainer::{IndexMap, LearningRates};
+use ffgs_rasterizer_gpu::{GpuScene, backward, prepare, render};
+use ffgs_trainer::{Columns, IndexMap, LearningRates};
 use std::cell::Cell;
 
 /// A part of a training step. Each needs what the ones before it left on the device.
@@ -30,7 +30,7 @@ pub enum Part {
     Step,
 }
 
-/// One view with everything that a step needs on the device: what [`crate::train_dynamic`] does in each iteration, to be
+/// One view with everything that a step needs on the device: what training does in each iteration, to be
 /// timed part by part.
 pub struct Probe<'a> {
     workspace: Workspace<'a>,
@@ -54,11 +54,10 @@ impl<'a> Probe<'a> {
     ) -> Result<Self, GpuError> {
         let selection = Selection { region: None, tiles: None, layers: None };
         let target = Target::new(gpu, &view.camera, &view.image, &selection)?;
-        let optimiser = Optimiser::new(gpu, gaussians)?;
+        let optimiser = Optimiser::new(gpu, GpuScene::upload(gpu, gaussians)?, Columns::ALL)?;
         let mut workspace = Workspace::new(gpu, gaussians.len(), view.camera.size().pixels())?;
         workspace.fit(&optimiser.scene, std::slice::from_ref(&target), options)?;
-        let sky = GpuSky::new(gpu, &SkyCube::filled(8, [0.3; 3]))?;
-        sky.prepare(gpu, 0.0, 1.0, 1.0);
+        let sky = GpuSky::fixed(gpu, &SkyCube::filled(8, [0.3; 3]))?;
         let mut commands = gpu.commands();
         sky.draw(&mut commands, &target);
         gpu.submit(commands)?;
@@ -90,7 +89,7 @@ impl<'a> Probe<'a> {
         let before = gpu.traffic();
         let gaussians = self.optimiser.download()?;
         self.optimiser.ledger()?;
-        self.optimiser.replace(&gaussians, &IndexMap::identity(gaussians.len()), true)?;
+        self.optimiser.replace(&gaussians, &IndexMap::identity(gaussians.len()), (true, false))?;
         gpu.finish()?;
         let after = gpu.traffic();
         Ok(after.up + after.down - before.up - before.down)

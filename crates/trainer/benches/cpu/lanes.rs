@@ -6,8 +6,10 @@ use criterion::{BenchmarkId, Criterion, Throughput};
 use ffgs_core::{Gaussians, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, StaticLane, StaticMethod, Surroundings, train_dynamic,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, Photographed, StaticLane, StaticMethod, Surroundings,
+    train_dynamic,
 };
+use std::sync::Arc;
 
 /// Steps of the dynamic lane that are timed, its caches included.
 const STEPS: usize = 40;
@@ -26,13 +28,16 @@ pub fn dynamic(c: &mut Criterion) {
         let blended: u64 = views.iter().map(|v| contributions(&moving, &v.camera, Some(&tiles), true)).sum();
         group.throughput(Throughput::Elements(blended * STEPS as u64 / views.len() as u64));
         let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
+        let still = Arc::new(still);
         let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
         for threads in [1, 2] {
             let pool = pool(threads);
             group.bench_function(BenchmarkId::new(format!("{percent}%"), format!("{threads}t")), |b| {
                 b.iter(|| {
                     let mut layer = moving.clone();
-                    pool.install(|| train_dynamic(&config, &views, around, &mut layer, 1, &mut |_| {}));
+                    let run =
+                        || train_dynamic(&CpuBackend, &config, &views, around, &mut layer, 1, &mut |_| {});
+                    let Ok(()) = pool.install(run);
                 });
             });
         }
@@ -71,8 +76,10 @@ pub fn static_lane(c: &mut Criterion) {
             let pool = pool(threads);
             group.bench_function(BenchmarkId::new(name, format!("{threads}t")), |b| {
                 b.iter(|| {
-                    let (mut lane, mut layer) = (StaticLane::default(), layer.clone());
-                    pool.install(|| lane.train(&config, &views, &sky, &mut layer, 1, &mut |_| {}));
+                    let (mut lane, mut layer) = (StaticLane::default(), Arc::new(layer.clone()));
+                    let seen = Photographed { views: &views, sky: &sky };
+                    let run = || lane.train(&CpuBackend, &config, seen, &mut layer, 1, &mut |_| {});
+                    let Ok(()) = pool.install(run);
                 });
             });
         }

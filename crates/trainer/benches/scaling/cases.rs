@@ -5,10 +5,11 @@ use crate::{held, memory};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, DynamicLaneConfig, FirstFrameConfig, StaticLane, Surroundings, TILE_DILATION,
-    train_dynamic, train_first_frame,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, StaticLane,
+    Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
 };
 use std::fmt;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Standard deviation over spacing, as trained scenes have it.
@@ -132,7 +133,9 @@ impl Case {
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
         memory::restart_peak();
         let mut clock = Clock::start();
-        let trained = train_first_frame(&config, views, gaussians, sky, 1e-6, 1, &mut |_| clock.tick());
+        let start = FirstFrame { gaussians, sky };
+        let Ok(trained) =
+            train_first_frame(&CpuBackend, &config, views, start, 1e-6, 1, &mut |_| clock.tick());
         let peak = memory::peak();
         (clock, peak, held::first_frame(&trained.gaussians, self.size, views.len()) as f64)
     }
@@ -145,25 +148,28 @@ impl Case {
             middle.pixel_of(mean).is_some_and(|(x, y)| mask.contains(x, y))
         };
         let (moving, still): (Vec<usize>, Vec<usize>) = (0..all.len()).partition(inside);
-        let (mut moving, still) = (all.select(&moving), all.select(&still));
+        let (mut moving, still) = (all.select(&moving), Arc::new(all.select(&still)));
         let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
         drop(all);
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
         let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
         memory::restart_peak();
         let mut clock = Clock::start();
-        train_dynamic(&config, views, around, &mut moving, 1, &mut |_| clock.tick());
+        let Ok(()) =
+            train_dynamic(&CpuBackend, &config, views, around, &mut moving, 1, &mut |_| clock.tick());
         let peak = memory::peak();
         let tiles = TileMask::covering(&mask.dilated(TILE_DILATION));
         (clock, peak, held::dynamic(&moving, &still, self.size, &tiles, views.len()) as f64)
     }
 
-    fn static_solve(&self, views: &[TrainingView], mut layer: Gaussians) -> (Clock, f64, f64) {
+    fn static_solve(&self, views: &[TrainingView], layer: Gaussians) -> (Clock, f64, f64) {
         let config = BackgroundConfig::default();
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
         memory::restart_peak();
         let mut clock = Clock::start();
-        StaticLane::default().train(&config, views, &sky, &mut layer, 1, &mut |_| clock.tick());
+        let (mut layer, seen) = (Arc::new(layer), Photographed { views, sky: &sky });
+        let lane = &mut StaticLane::default();
+        let Ok(()) = lane.train(&CpuBackend, &config, seen, &mut layer, 1, &mut |_| clock.tick());
         let peak = memory::peak();
         (clock, peak, held::static_solve(&layer, self.size, views.len()) as f64)
     }

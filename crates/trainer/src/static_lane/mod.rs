@@ -4,10 +4,21 @@ mod solve;
 mod steps;
 mod trace;
 
+use crate::backend::TrainBackend;
 use crate::background::{BackgroundConfig, StaticMethod};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use std::sync::Arc;
 use trace::ViewTrace;
+
+/// What the static lane compares with.
+#[derive(Clone, Copy, Debug)]
+pub struct Photographed<'a> {
+    /// Photographs and masks.
+    pub views: &'a [TrainingView],
+    /// What shows behind the layer.
+    pub sky: &'a SkyCube,
+}
 
 /// Contributors kept a pixel where memory allows; more gain nothing (docs/adr/0007).
 const MOST_CONTRIBUTORS: usize = 16;
@@ -28,26 +39,31 @@ pub struct StaticLane {
 }
 
 impl StaticLane {
-    /// Finetunes the colours of `layer`, whose geometry and opacities are those of the first call.
-    pub fn train(
+    /// Finetunes the colours of `layer`, whose geometry and opacities are those of the first call. The steps run on
+    /// `backend`, the linear solve always on the CPU.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory; `layer` is then as it was.
+    pub fn train<B: TrainBackend>(
         &mut self,
+        backend: &B,
         config: &BackgroundConfig,
-        views: &[TrainingView],
-        sky: &SkyCube,
-        layer: &mut Gaussians,
+        photographed: Photographed,
+        layer: &mut Arc<Gaussians>,
         seed: u64,
         report: &mut dyn FnMut(Progress),
-    ) {
+    ) -> Result<(), B::Error> {
+        let Photographed { views, sky } = photographed;
         if layer.is_empty() || views.is_empty() {
-            return;
+            return Ok(());
         }
         let contributors = contributors(config, views);
         if config.static_method == StaticMethod::Solve && contributors >= FEWEST_CONTRIBUTORS {
             self.trace(contributors, config.solve_degree, views, layer);
-            solve::solve(config, &self.traces, views, sky, layer, report);
-        } else {
-            steps::train(config, views, sky, layer, seed, report);
+            solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), report);
+            return Ok(());
         }
+        steps::train(backend, config, photographed, layer, seed, report)
     }
 
     /// Traces the views whose camera is new.

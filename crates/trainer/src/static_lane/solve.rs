@@ -279,8 +279,9 @@ fn answers(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::from_points;
+    use crate::{CpuBackend, Photographed, StaticLane, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use std::sync::Arc;
 
     fn residual_of(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> Vec<Vec3> {
         residual(view, layer, SkyBehind::new().render(sky, &view.camera), 0, &mut RenderTape::default())
@@ -325,11 +326,13 @@ mod tests {
     }
 
     fn solved(views: &[TrainingView], layer: &Gaussians, sky: &SkyCube) -> Gaussians {
-        let mut out = layer.clone();
+        let mut out = Arc::new(layer.clone());
         let config =
             BackgroundConfig { solve_iterations: 40, solve_noise: 0.005, ..BackgroundConfig::default() };
-        crate::StaticLane::default().train(&config, views, sky, &mut out, 1, &mut |_| {});
-        out
+        let photographed = Photographed { views, sky };
+        let lane = &mut StaticLane::default();
+        lane.train(&CpuBackend, &config, photographed, &mut out, 1, &mut |_| {}).unwrap();
+        Arc::unwrap_or_clone(out)
     }
 
     #[test]

@@ -1,0 +1,214 @@
+use crate::optimiser::Optimiser;
+use crate::prior::GpuPrior;
+use crate::sky::GpuSky;
+use crate::surroundings::{Surroundings, cut};
+use crate::target::{Selection, Target};
+use crate::workspace::{OPTIONS, Workspace, largest_view, shared_layers};
+use ffgs_core::Gaussians;
+use ffgs_gpu::{Commands, GpuError};
+use ffgs_rasterizer::RenderOptions;
+use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
+use ffgs_trainer::{
+    Around, Columns, GradientSums, IndexMap, LayerTask, LayerTraining, LearningRates, Progress, Revision,
+    SKY_DOUBT, TaskView,
+};
+use std::sync::Arc;
+
+/// Gaussians under training on the GPU. A step is one submission and reads nothing back.
+pub struct GpuLayer<'a> {
+    device: &'a SceneDevice,
+    layer: &'a mut Arc<Gaussians>,
+    columns: Columns,
+    targets: Vec<Target>,
+    around: Surroundings<'a>,
+    prior: Option<GpuPrior>,
+    workspace: Workspace<'a>,
+    optimiser: Optimiser<'a>,
+    /// Number of the step; a Gaussian's gradient with another stamp is stale.
+    stamp: u32,
+    /// The view at hand.
+    at: usize,
+    /// What the step at hand has recorded so far.
+    commands: Option<Commands<'a>>,
+}
+
+impl<'a> GpuLayer<'a> {
+    pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
+        let LayerTask { layer, columns, views, around, prior, .. } = task;
+        let gpu = &device.gpu;
+        let mut workspace = Workspace::new(gpu, layer.len(), largest_view(&views))?;
+        let targets = targets(&around, &workspace, &views)?;
+        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?;
+        let seen = gpu.buffer("views of each Gaussian", optimiser.scene.count as u64 * 4)?;
+        let around = match around {
+            Around::Sky(sky) => Surroundings::Sky(GpuSky::fixed(gpu, sky)?),
+            Around::TrainedSky(sky, rate) => {
+                // A mean over pixels: the derivative of one is about this large.
+                let typical = 1.0 / (3 * largest_view(&views)) as f32;
+                let trained = GpuSky::trained(gpu, sky)?;
+                trained.prepare(gpu, rate, typical, SKY_DOUBT * typical);
+                Surroundings::Trained(trained, sky)
+            }
+            Around::Cut(layers) => {
+                cut(device, layers, &optimiser.scene, &views, (&targets, &mut workspace), &seen)?;
+                Surroundings::Cut
+            }
+        };
+        let prior = match prior {
+            Some(prior) => Some(GpuPrior::new(gpu, &prior, &optimiser.scene, seen)?),
+            None => None,
+        };
+        let mut training = Self {
+            device,
+            columns,
+            around,
+            prior,
+            layer,
+            targets,
+            workspace,
+            optimiser,
+            stamp: 0,
+            at: 0,
+            commands: None,
+        };
+        training.fit()?;
+        Ok(training)
+    }
+
+    fn fit(&mut self) -> Result<(), GpuError> {
+        self.workspace.fit(&self.optimiser.scene, &self.targets, OPTIONS)
+    }
+
+    /// The commands of the step at hand.
+    fn recording(&mut self) -> Commands<'a> {
+        let device = self.device;
+        self.commands.take().unwrap_or_else(|| device.gpu.commands())
+    }
+
+    /// Room is made for half as much again as was needed at the start; beyond that the farthest splats of a view are left
+    /// out, until the next revision.
+    fn warn_of_missing_room(&self) -> Result<(), GpuError> {
+        if !self.workspace.was_enough()? {
+            tracing::warn!("training: the farthest splats of some views were left out of some steps");
+        }
+        Ok(())
+    }
+
+    fn sums(&self) -> Result<GradientSums, GpuError> {
+        let ledger = self.optimiser.ledger()?;
+        Ok(GradientSums {
+            norms: ledger.iter().map(|l| l.gradient_norm).collect(),
+            views: ledger.iter().map(|l| l.views).collect(),
+        })
+    }
+}
+
+/// The layer as training finds it: columns that do not move are shared with what the device keeps.
+fn start(device: &SceneDevice, layer: &Arc<Gaussians>, columns: Columns) -> Result<GpuScene, GpuError> {
+    if columns.geometry {
+        return GpuScene::upload(&device.gpu, layer);
+    }
+    let kept = device.layer(layer)?;
+    let sh = device.gpu.buffer("spherical harmonics", kept.sh.bytes())?;
+    let mut commands = device.gpu.commands();
+    commands.copy(&kept.sh, &sh, kept.sh.bytes());
+    device.gpu.submit(commands)?;
+    Ok(GpuScene { sh, ..kept })
+}
+
+/// Cut layers are a view's own; a sky is drawn anew in each step, into layers that all views share.
+fn targets(around: &Around, workspace: &Workspace, views: &[TaskView]) -> Result<Vec<Target>, GpuError> {
+    let shared = match around {
+        Around::Sky(_) | Around::TrainedSky(..) => Some(shared_layers(workspace.gpu, views)?),
+        Around::Cut(_) => None,
+    };
+    let target = |task: &TaskView| {
+        let (region, tiles, layers) = (task.region.as_ref(), task.tiles.as_ref(), shared.as_ref());
+        let selection = Selection { region, tiles, layers };
+        Target::new(workspace.gpu, &task.view.camera, &task.view.image, &selection)
+    };
+    views.iter().map(target).collect()
+}
+
+impl LayerTraining for GpuLayer<'_> {
+    type Error = GpuError;
+
+    fn forward(&mut self, view: usize, sh_degree: Option<usize>) -> Result<(), GpuError> {
+        self.stamp += 1;
+        self.at = view;
+        let mut commands = self.recording();
+        let Self { workspace, optimiser, targets, .. } = self;
+        let (scene, target) = (&optimiser.scene, &targets[view]);
+        let options = RenderOptions { sh_degree, ..OPTIONS };
+        prepare(workspace.gpu, scene, &target.view, &workspace.scratch, options, self.stamp);
+        self.around.draw(&mut commands, target);
+        render(&mut commands, scene, &target.view, &workspace.scratch);
+        workspace.loss(&mut commands, target);
+        self.commands = Some(commands);
+        Ok(())
+    }
+
+    fn backward(&mut self) -> Result<(), GpuError> {
+        let mut commands = self.recording();
+        let Self { workspace, optimiser, targets, .. } = self;
+        let target = &targets[self.at];
+        backward(&mut commands, &optimiser.scene, &target.view, &workspace.scratch, &optimiser.gradients);
+        if let Some(prior) = &self.prior {
+            prior.pull(&mut commands, target, optimiser);
+        }
+        self.commands = Some(commands);
+        Ok(())
+    }
+
+    fn step(&mut self, rates: &LearningRates) -> Result<(), GpuError> {
+        self.optimiser.prepare(rates, self.stamp);
+        let mut commands = self.recording();
+        self.optimiser.step(&mut commands);
+        let target = &self.targets[self.at];
+        self.around.step(&mut commands, target, &self.workspace, self.optimiser.corrections());
+        self.workspace.gpu.submit(commands)
+    }
+
+    fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {
+        self.workspace.progress(done, all, self.optimiser.scene.count)
+    }
+
+    /// Decided on the host: a few times in a training, 300 bytes per Gaussian.
+    fn revise(
+        &mut self,
+        decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,
+    ) -> Result<(), GpuError> {
+        self.warn_of_missing_room()?;
+        let mut gaussians = self.optimiser.download()?;
+        let Revision { map, opacities_reset } = decide(&mut gaussians, &self.sums()?);
+        let same = map.is_none();
+        let map = map.unwrap_or_else(|| IndexMap::identity(gaussians.len()));
+        self.optimiser.replace(&gaussians, &map, (!opacities_reset, same))?;
+        self.fit()
+    }
+
+    fn must_repeat(&mut self) -> Result<bool, GpuError> {
+        if self.workspace.was_enough()? {
+            return Ok(false);
+        }
+        self.workspace.grow()?;
+        let scene = start(self.device, self.layer, self.columns)?;
+        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?;
+        self.stamp = 0;
+        self.fit()?;
+        Ok(true)
+    }
+
+    fn download(self) -> Result<(), GpuError> {
+        self.warn_of_missing_room()?;
+        let Self { device, layer, columns, around, optimiser, .. } = self;
+        let trained = optimiser.download()?;
+        around.download(&device.gpu)?;
+        *layer = Arc::new(trained);
+        if !columns.geometry {
+            device.keep(layer, optimiser.scene);
+        }
+        device.gpu.release_unused();
+        Ok(())
+    }
+}

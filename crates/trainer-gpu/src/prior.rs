@@ -1,0 +1,77 @@
+//! What is known of the layer, on the device. CPU twin: `Penalty` in trainer/src/prior.rs.
+
+use crate::kernels;
+use crate::layout::PriorUniform;
+use crate::optimiser::Optimiser;
+use crate::target::Target;
+use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_rasterizer_gpu::GpuScene;
+use ffgs_trainer::{Prior, SSIM_WEIGHT};
+
+/// Invocations of the kernels.
+const GROUP: usize = 256;
+
+/// The prior of a training and where the layer was at its start.
+pub(crate) struct GpuPrior {
+    uniform: Buffer,
+    /// Views that see each Gaussian.
+    seen: Buffer,
+    /// (N, 8) xx, xy, xz, yy, yz, zz of the positions' information (1/m^2).
+    positions: Buffer,
+    /// Of the other parameters.
+    others: GpuScene,
+    start: GpuScene,
+}
+
+impl GpuPrior {
+    /// `seen` = views that see each Gaussian of `start`.
+    pub fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
+        let information = prior.information;
+        let rows: Vec<[f32; 8]> = information
+            .positions
+            .iter()
+            .map(|m| [m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z, 0.0, 0.0])
+            .map(|row| row.map(|v| v as f32))
+            .collect();
+        let noise = prior.noise.sigma * prior.noise.correlated;
+        let uniform = PriorUniform {
+            items: start.count as u32,
+            coefficients: ffgs_core::sh_coefficients(start.sh_degree) as u32,
+            strength: prior.weight * (1.0 - SSIM_WEIGHT as f32) * noise as f32,
+            padding: 0,
+        };
+        Ok(Self {
+            uniform: gpu.uniform("prior", &uniform)?,
+            seen,
+            positions: gpu.upload("information", &rows)?,
+            others: GpuScene::upload(gpu, &information.others)?,
+            start: GpuScene::joined(gpu, &[start])?,
+        })
+    }
+
+    /// Adds its derivative to that of the loss of a view, for the Gaussians that the view drew.
+    pub fn pull(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
+        let Self { uniform, seen, positions, others, start } = self;
+        let (scene, gradients) = (&optimiser.scene, &optimiser.gradients);
+        let shared = |now, start, known, gradient| {
+            [
+                uniform,
+                &target.loss,
+                target.view.uniform(),
+                &gradients.ledger,
+                seen,
+                now,
+                start,
+                known,
+                gradient,
+            ]
+        };
+        let [a, b, c, d, e, now, before, known, gradient] =
+            shared(&scene.geometry, &start.geometry, &others.geometry, &gradients.scene.geometry);
+        let geometry = [a, b, c, d, e, now, before, known, gradient, positions];
+        commands.run(&kernels::PRIOR_GEOMETRY, &geometry, Groups::of(scene.count, GROUP));
+        let colours = shared(&scene.sh, &start.sh, &others.sh, &gradients.scene.sh);
+        let values = scene.count * 3 * ffgs_core::sh_coefficients(scene.sh_degree);
+        commands.run(&kernels::PRIOR_COLOURS, &colours, Groups::of(values, GROUP));
+    }
+}

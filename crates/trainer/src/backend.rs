@@ -1,0 +1,193 @@
+//! Where training is computed. Schedules, the order of views, density control and the loops of the lanes exist once, in
+//! this crate; a backend has the memory and the arithmetic of single steps (docs/adr/0032-where-training-is-computed.md).
+
+use crate::densify::{GradientSums, IndexMap};
+use crate::{LearningRates, Prior, Progress};
+use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
+use ffgs_rasterizer::TileMask;
+use std::sync::Arc;
+
+/// A device that trains.
+pub trait TrainBackend: Sync {
+    /// What can go wrong on the device.
+    type Error: std::error::Error + Send + Sync + 'static;
+    /// Gaussians under training.
+    type Layer<'a>: LayerTraining<Error = Self::Error>
+    where
+        Self: 'a;
+    /// A sky under training behind a layer that stays.
+    type Sky<'a>: SkyTraining<Error = Self::Error>
+    where
+        Self: 'a;
+
+    /// Brings all that the steps of `task` need to the device.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
+    fn upload_layer<'a>(&'a self, task: LayerTask<'a>) -> Result<Self::Layer<'a>, Self::Error>;
+
+    /// Likewise.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
+    fn upload_sky<'a>(&'a self, task: SkyTask<'a>) -> Result<Self::Sky<'a>, Self::Error>;
+}
+
+/// Gaussians under training. The order of calls: [`forward`](Self::forward), [`backward`](Self::backward),
+/// [`step`](Self::step), as often as the schedule says, between steps [`revise`](Self::revise), at the end
+/// [`download`](Self::download). Until then the layer of the task is as it was, or of no meaning after an error.
+pub trait LayerTraining {
+    /// What can go wrong on the device.
+    type Error;
+
+    /// Draws a view with colours of at most `sh_degree` and differentiates the loss by its pixels.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn forward(&mut self, view: usize, sh_degree: Option<usize>) -> Result<(), Self::Error>;
+
+    /// Differentiates by the Gaussians that were drawn, and adds the pull of the prior.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn backward(&mut self) -> Result<(), Self::Error>;
+
+    /// One step of Adam down these derivatives for the Gaussians that were drawn, and for the sky where it is trained.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn step(&mut self, rates: &LearningRates) -> Result<(), Self::Error>;
+
+    /// How far the training has come after `done` steps of `all`; `None` where a look at the device would cost more than
+    /// it is worth.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Self::Error>;
+
+    /// Hands the Gaussians and their gradient sums to `decide`, which may change them, and goes on with what it leaves.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn revise(
+        &mut self,
+        decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,
+    ) -> Result<(), Self::Error>;
+
+    /// Whether some step lacked memory on the device. If so there is more of it now, the layer is back at its start, and
+    /// all steps must be taken again.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
+    fn must_repeat(&mut self) -> Result<bool, Self::Error> {
+        Ok(false)
+    }
+
+    /// Writes what was trained into the task's layer, and into its sky.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn download(self) -> Result<(), Self::Error>;
+}
+
+/// A sky under training.
+pub trait SkyTraining {
+    /// What can go wrong on the device.
+    type Error;
+
+    /// One step of Adam on the texels that a view sees.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn step(&mut self, view: usize) -> Result<(), Self::Error>;
+
+    /// Writes the texels into the task's sky.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn download(self) -> Result<(), Self::Error>;
+}
+
+/// What to train Gaussians with.
+pub struct LayerTask<'a> {
+    /// The Gaussians. A device that holds this very `Arc` need not be told its content again.
+    pub layer: &'a mut Arc<Gaussians>,
+    /// Parameters that move.
+    pub columns: Columns,
+    /// Photographs, in the order that steps count them.
+    pub views: Vec<TaskView<'a>>,
+    /// What stands around the layer.
+    pub around: Around<'a>,
+    /// What is known of the layer; `None` = nothing.
+    pub prior: Option<Prior<'a>>,
+    /// Whether density control will ask for gradient sums.
+    pub sums_gradients: bool,
+}
+
+/// What to train a sky with.
+pub struct SkyTask<'a> {
+    /// The texels.
+    pub sky: &'a mut SkyCube,
+    /// Step size.
+    pub rate: f32,
+    /// What stands before the sky.
+    pub layer: &'a Arc<Gaussians>,
+    /// Photographs, each with a region.
+    pub views: Vec<TaskView<'a>>,
+}
+
+/// A photograph, and how much of it counts.
+pub struct TaskView<'a> {
+    /// Camera and photograph.
+    pub view: &'a TrainingView,
+    /// Pixels of the loss; `None` = all.
+    pub region: Option<Mask>,
+    /// Tiles to draw, which hold the region; `None` = all.
+    pub tiles: Option<TileMask>,
+}
+
+/// What stands around a layer under training.
+pub enum Around<'a> {
+    /// A sky behind it, which stays.
+    Sky(&'a SkyCube),
+    /// A sky behind it that is trained along, with this step size.
+    TrainedSky(&'a mut SkyCube, f32),
+    /// Both, as they look from every view at the start, cut at the depth of the layer (docs/adr/0003).
+    Cut(CutLayers<'a>),
+}
+
+/// What is cut at the depth of the layer under training.
+#[derive(Clone, Copy)]
+pub struct CutLayers<'a> {
+    /// Gaussians in front of and behind the layer.
+    pub static_layer: &'a Arc<Gaussians>,
+    /// Behind everything.
+    pub sky: &'a SkyCube,
+    /// Weight of the layer's mean alpha outside a view's region.
+    pub outside_alpha: f32,
+}
+
+/// Which parameters of Gaussians move. No moments are kept of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Columns {
+    /// Positions, rotations, scales and opacities.
+    pub geometry: bool,
+    /// SH coefficients.
+    pub colours: bool,
+}
+
+impl Columns {
+    /// Everything.
+    pub const ALL: Self = Self { geometry: true, colours: true };
+    /// SH coefficients only.
+    pub const COLOURS: Self = Self { geometry: false, colours: true };
+}
+
+/// What was changed between two steps.
+#[derive(Clone, Debug, Default)]
+pub struct Revision {
+    /// Where the Gaussians came from; their gradient sums start anew. `None` = they are the same ones in the same order.
+    pub map: Option<IndexMap>,
+    /// The moments of all opacities start anew.
+    pub opacities_reset: bool,
+}

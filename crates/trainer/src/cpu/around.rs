@@ -1,0 +1,93 @@
+//! What stands around a layer under training, as a view sees it.
+
+use super::cut::Cut;
+use crate::background::SkyBehind;
+use crate::sky::sky_share;
+use crate::{AdamVec, SKY_DOUBT, TexelGradients, Update};
+use ffgs_core::{Camera, PlanarImage, SkyCube};
+use ffgs_rasterizer::PixelGradients;
+
+/// [`crate::Around`] with the view at hand.
+pub(super) enum Surrounding<'a> {
+    Sky(&'a SkyCube, SkyBehind),
+    Trained(Box<TrainedSky<'a>>),
+    Cut(Box<Cut>),
+}
+
+impl Surrounding<'_> {
+    /// Turns to a view.
+    pub fn aim(&mut self, index: usize, camera: &Camera) {
+        match self {
+            Self::Sky(sky, behind) => behind.aim(sky, camera),
+            Self::Trained(sky) => sky.behind.aim(sky.sky, camera),
+            Self::Cut(cut) => cut.aim(index),
+        }
+    }
+
+    /// What is behind the layer in the view at hand.
+    pub fn behind(&self) -> &PlanarImage {
+        match self {
+            Self::Sky(_, behind) => behind.image(),
+            Self::Trained(sky) => sky.behind.image(),
+            Self::Cut(cut) => cut.behind(),
+        }
+    }
+
+    /// The whole image, given the layer over what is behind it.
+    pub fn compose<'i>(&'i mut self, index: usize, drawn: &'i PlanarImage) -> &'i PlanarImage {
+        match self {
+            Self::Sky(..) | Self::Trained(_) => drawn,
+            Self::Cut(cut) => cut.compose(index, drawn),
+        }
+    }
+
+    /// From the derivative by the whole image to that by the layer's own.
+    pub fn upstream<'g>(&'g self, index: usize, image: &'g mut PlanarImage) -> PixelGradients<'g> {
+        match self {
+            Self::Sky(..) | Self::Trained(_) => PixelGradients { image, transmittance: None },
+            Self::Cut(cut) => {
+                cut.through_front(index, image);
+                PixelGradients { image, transmittance: Some(cut.penalty()) }
+            }
+        }
+    }
+
+    /// One step of the sky, if it is trained. `gradient` = derivative by the image, which is overwritten; `through` =
+    /// transmittance of the layer.
+    pub fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
+        if let Self::Trained(sky) = self {
+            sky.step(gradient, through);
+        }
+    }
+}
+
+/// A sky that is trained along.
+pub(super) struct TrainedSky<'a> {
+    sky: &'a mut SkyCube,
+    rate: f32,
+    behind: SkyBehind,
+    adam: AdamVec,
+    gradients: TexelGradients,
+}
+
+impl<'a> TrainedSky<'a> {
+    pub fn new(sky: &'a mut SkyCube, rate: f32) -> Self {
+        let texels = sky.texels.len();
+        let (adam, gradients) = (AdamVec::new(texels, 3), TexelGradients::new(texels));
+        Self { sky, rate, behind: SkyBehind::new(), adam, gradients }
+    }
+
+    /// Sparse in the texels that the view sees. The transmittance enters twice: the derivative holds it once, and the error
+    /// of a hidden pixel is not the sky's.
+    fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
+        for plane in gradient.data_mut().chunks_exact_mut(through.len()) {
+            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t * sky_share(t));
+        }
+        let doubt = SKY_DOUBT / (3 * through.len()) as f32;
+        self.gradients.clear();
+        self.behind.backward(gradient, &mut self.gradients);
+        let TexelGradients { sums, touched, .. } = &self.gradients;
+        let texels = self.sky.texels.as_flattened_mut();
+        self.adam.step(texels, sums.as_flattened(), (self.rate, doubt), Update::Touched(touched));
+    }
+}

@@ -1,0 +1,132 @@
+use super::around::{Surrounding, TrainedSky};
+use super::cut::Cut;
+use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView};
+use crate::background::SkyBehind;
+use crate::densify::GradientSums;
+use crate::prior::Penalty;
+use crate::view::{Progress, Running};
+use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
+use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
+use ffgs_rasterizer::{
+    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, Rasterizer, RenderOptions, RenderTape,
+    View,
+};
+use std::convert::Infallible;
+use std::sync::Arc;
+
+/// Gaussians under training on the CPU, changed in place.
+pub struct CpuLayer<'a> {
+    layer: &'a mut Gaussians,
+    views: Vec<TaskView<'a>>,
+    around: Surrounding<'a>,
+    penalty: Option<Penalty<'a>>,
+    adam: Adam,
+    sums: Option<GradientSums>,
+    running: Running,
+    /// The view at hand, and how it was drawn.
+    at: usize,
+    rasterizer: CpuRasterizer,
+    tape: RenderTape,
+    loss: PhotometricLoss,
+    pixel_gradient: PlanarImage,
+    gradients: Gradients,
+}
+
+fn rasterizer(sh_degree: Option<usize>) -> CpuRasterizer {
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree })
+}
+
+impl<'a> CpuLayer<'a> {
+    pub(super) fn new(task: LayerTask<'a>) -> Self {
+        let layer = Arc::make_mut(task.layer);
+        let mut seen = vec![0; layer.len()];
+        let around = match task.around {
+            Around::Sky(sky) => Surrounding::Sky(sky, SkyBehind::new()),
+            Around::TrainedSky(sky, rate) => Surrounding::Trained(Box::new(TrainedSky::new(sky, rate))),
+            Around::Cut(layers) => {
+                Surrounding::Cut(Box::new(Cut::new(layers, layer, &task.views, rasterizer(None), &mut seen)))
+            }
+        };
+        Self {
+            around,
+            penalty: task.prior.map(|prior| Penalty::new(prior, layer, seen)),
+            adam: Adam::of_columns(layer.len(), layer.sh_degree(), task.columns),
+            sums: task.sums_gradients.then(|| GradientSums::new(layer.len())),
+            layer,
+            views: task.views,
+            running: Running::default(),
+            at: 0,
+            rasterizer: rasterizer(None),
+            tape: RenderTape::default(),
+            loss: PhotometricLoss::new(),
+            pixel_gradient: PlanarImage::zeros(ImageSize { width: 1, height: 1 }),
+            gradients: Gradients::default(),
+        }
+    }
+}
+
+impl LayerTraining for CpuLayer<'_> {
+    type Error = Infallible;
+
+    fn forward(&mut self, index: usize, sh_degree: Option<usize>) -> Result<(), Infallible> {
+        (self.at, self.rasterizer) = (index, rasterizer(sh_degree));
+        let TaskView { view, region, tiles } = &self.views[index];
+        self.around.aim(index, &view.camera);
+        let background = Background::Image(self.around.behind());
+        let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
+        self.rasterizer.render(self.layer, &frame, &mut self.tape);
+        let image = self.around.compose(index, self.tape.image());
+        let region = region.as_ref().map_or(LossRegion::Full, LossRegion::Mask);
+        let value = self.loss.evaluate(image, &view.image, region, &mut self.pixel_gradient);
+        self.running.add(value.total, value.mse);
+        Ok(())
+    }
+
+    fn backward(&mut self) -> Result<(), Infallible> {
+        let TaskView { view, region, tiles } = &self.views[self.at];
+        self.gradients.reset(self.layer.len(), self.layer.sh_degree());
+        let upstream = self.around.upstream(self.at, &mut self.pixel_gradient);
+        let background = Background::Image(self.around.behind());
+        let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
+        self.rasterizer.backward(self.layer, &frame, &mut self.tape, &upstream, &mut self.gradients);
+        if let Some(penalty) = &self.penalty {
+            let pixels = region.as_ref().map_or(view.camera.size().pixels(), Mask::count);
+            penalty.add(self.layer, pixels, &mut self.gradients);
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, rates: &LearningRates) -> Result<(), Infallible> {
+        let touched = &self.gradients.touched;
+        self.adam.step(self.layer, &self.gradients.gaussians, rates, Update::Touched(touched));
+        self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
+        if let Some(sums) = &mut self.sums {
+            sums.add(&self.gradients.mean2d_norm, touched);
+        }
+        Ok(())
+    }
+
+    fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {
+        Ok(Some(self.running.progress(done, all, self.layer.len())))
+    }
+
+    fn revise(
+        &mut self,
+        decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,
+    ) -> Result<(), Infallible> {
+        let none = GradientSums::new(0);
+        let revision = decide(self.layer, self.sums.as_ref().unwrap_or(&none));
+        if revision.opacities_reset {
+            self.adam.reset_opacity();
+        }
+        if let Some(map) = revision.map {
+            self.adam.remap(&map);
+            self.sums = self.sums.as_ref().map(|_| GradientSums::new(map.len()));
+        }
+        Ok(())
+    }
+
+    fn download(self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
