@@ -56,10 +56,8 @@ pub fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[Training
     if scene.dynamic.gaussians.is_empty() {
         return;
     }
-    let Gain { information, noise } = information_gain(&scene.joint(), &scene.sky, views);
-    let first = scene.static_layer.len();
-    let moving: Vec<usize> = (first..information.len()).collect();
-    let told = information.select(&moving);
+    let count = scene.dynamic.gaussians.len();
+    let Gain { information: told, noise } = information_gain(&scene.joint(), count, &scene.sky, views);
     let dynamic = &mut scene.dynamic;
     for (covariance, told) in dynamic.covariances.iter_mut().zip(&told.positions) {
         let joint = symmetric_inverse(symmetric_inverse(*covariance) + *told);

@@ -61,10 +61,11 @@ impl Information {
 
 impl CpuRasterizer {
     /// Adds to `out` what the view that `render` drew into `tape` tells of `gaussians`, when an error of pixel p in each
-    /// channel has the inverse variance `weights[p]` (H * W).
+    /// channel has the inverse variance `weights[p]` (H * W). `out` is of the last `out.len()` Gaussians: the others only
+    /// stand in their way, and tiles without any of them cost nothing.
     ///
     /// # Panics
-    /// When `out` is not of as many Gaussians of the same SH degree.
+    /// When `out` is of more Gaussians, or of another SH degree.
     pub fn add_information(
         &self,
         gaussians: &Gaussians,
@@ -73,18 +74,22 @@ impl CpuRasterizer {
         weights: &[f32],
         out: &mut Information,
     ) {
-        assert!(out.len() == gaussians.len() && out.others.sh.len() == gaussians.sh.len(), "shapes differ");
-        let entries = square_tiles(view, tape, weights);
+        let same_degree = out.others.sh_degree() == gaussians.sh_degree();
+        assert!(out.len() <= gaussians.len() && same_degree, "shapes differ");
+        let first = gaussians.len() - out.len();
+        let entries = square_tiles(view, tape, weights, first);
         let parameters = Parameters {
             gaussians,
             camera: PinholeF32::from(view.camera),
             antialiased: self.options.antialiased,
             degree: projection::active_degree(gaussians, self.options),
         };
-        let of_slot = |slot| parameters.told(&tape.splats[slot], &sums_of(tape, &entries, slot));
-        let told: Vec<Told> = (0..tape.splats.len()).into_par_iter().map(of_slot).collect();
-        for (splat, told) in tape.splats.iter().zip(&told) {
-            told.add_to(splat.index as usize, out);
+        let of_slot = |&slot: &usize| parameters.told(&tape.splats[slot], &sums_of(tape, &entries, slot));
+        let slots = (0..tape.splats.len()).filter(|&slot| tape.splats[slot].index as usize >= first);
+        let slots: Vec<usize> = slots.collect();
+        let told: Vec<Told> = slots.par_iter().map(of_slot).collect();
+        for (&slot, told) in slots.iter().zip(&told) {
+            told.add_to(tape.splats[slot].index as usize - first, out);
         }
     }
 }
@@ -98,14 +103,15 @@ fn sums_of(tape: &RenderTape, entries: &[[f32; SUMS]], slot: usize) -> [f64; SUM
     sums
 }
 
-fn square_tiles(view: &View, tape: &RenderTape, weights: &[f32]) -> Vec<[f32; SUMS]> {
+/// Sums per entry, in the tiles that a Gaussian from `first` on touches.
+fn square_tiles(view: &View, tape: &RenderTape, weights: &[f32], first: usize) -> Vec<[f32; SUMS]> {
     let arch = instructions();
     let RenderTape { pixels, lists, splats, grid, .. } = tape;
     let mut entries = vec![[0.0; SUMS]; lists.len()];
     for_each_tile_slice(&lists.starts, &mut entries, &|tile, entries| {
-        if !entries.is_empty() {
-            let start = lists.starts[tile] as usize;
-            let slots = &lists.slots[start..start + entries.len()];
+        let start = lists.starts[tile] as usize;
+        let slots = &lists.slots[start..start + entries.len()];
+        if slots.iter().any(|entry| splats[entry.slot()].index as usize >= first) {
             let behind = shown(view, *grid, tile, &pixels[tile]);
             let sure = gather(view.camera.size(), *grid, tile, weights);
             arch.dispatch(SquareTile {
@@ -414,6 +420,23 @@ mod tests {
         let mut out = Information::none(g.len(), 1);
         rasterizer.add_information(&g, &view, &tape, &weights(), &mut out);
         out
+    }
+
+    /// The information of some is that which a pass over all gives them, bit by bit.
+    #[test]
+    fn a_part_is_told_the_same_as_all() {
+        let (g, camera) = scene();
+        let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+        let mut tape = RenderTape::default();
+        rasterizer.render(&g, &view, &mut tape);
+        let all = information(true);
+        for first in 0..=g.len() {
+            let rest: Vec<usize> = (first..g.len()).collect();
+            let mut part = Information::none(rest.len(), 1);
+            rasterizer.add_information(&g, &view, &tape, &weights(), &mut part);
+            assert!(part == all.select(&rest), "from {first}");
+        }
     }
 
     /// Contributions under 1/255 begin and end at pixels, which differences see and derivatives do not: a pixel that does so

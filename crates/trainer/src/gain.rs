@@ -31,20 +31,22 @@ pub struct Gain {
     pub noise: PixelNoise,
 }
 
-/// Passes over all views with all layers together. Foreground and background have each their own noise in every view, so
-/// that a camera that fits badly tells less.
-pub fn information_gain(gaussians: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> Gain {
+/// What the views tell of the last `count` of all Gaussians. Passes over all views with all layers together. Foreground
+/// and background have each their own noise in every view, so that a camera that fits badly tells less.
+pub fn information_gain(gaussians: &Gaussians, count: usize, sky: &SkyCube, views: &[TrainingView]) -> Gain {
     let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
-    let mut information = Information::none(gaussians.len(), gaussians.sh_degree());
+    let mut information = Information::none(count, gaussians.sh_degree());
     let mut foreground = Vec::new();
     for view in views {
         let background = Background::Image(behind.render(sky, &view.camera));
         let frame = View { camera: &view.camera, background, tiles: None };
         rasterizer.render(gaussians, &frame, &mut tape);
         let errors = Errors::new(view, tape.image());
-        foreground.extend(errors.noise(1).map(|noise| (noise, view.mask.count())));
-        rasterizer.add_information(gaussians, &frame, &tape, &errors.weights(), &mut information);
+        let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
+        foreground.extend(inside.map(|noise| (noise, view.mask.count())));
+        let weights = errors.weights([outside, inside]);
+        rasterizer.add_information(gaussians, &frame, &tape, &weights, &mut information);
     }
     Gain { information, noise: mean_noise(&foreground) }
 }
@@ -76,10 +78,10 @@ impl<'a> Errors<'a> {
         Self { size: view.camera.size(), planes, mask: view.mask.data() }
     }
 
-    /// Inverse variance of an independent value, pixel by pixel.
-    fn weights(&self) -> Vec<f32> {
+    /// Inverse variance of an independent value, pixel by pixel, given the noise outside and inside the mask.
+    fn weights(&self, noise: [Option<PixelNoise>; 2]) -> Vec<f32> {
         let weight = |noise: PixelNoise| (1.0 / (noise.sigma.powi(2) * noise.correlated)) as f32;
-        let of = [0, 1].map(|region| self.noise(region).map_or(0.0, weight));
+        let of = noise.map(|noise| noise.map_or(0.0, weight));
         self.mask.iter().map(|&m| of[usize::from(m != 0)]).collect()
     }
 
