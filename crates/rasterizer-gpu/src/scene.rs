@@ -39,22 +39,18 @@ impl GpuScene {
         let sh_degree = parts.first().map_or(0, |part| part.sh_degree);
         assert!(parts.iter().all(|part| part.sh_degree == sh_degree), "SH degrees differ");
         let count: usize = parts.iter().map(|part| part.count).sum();
-        let columns: [(&str, fn(&Self) -> &Buffer, u64); 2] = [
-            ("Gaussians", |part| &part.geometry, size_of::<Geometry>() as u64),
-            ("spherical harmonics", |part| &part.sh, sh_coefficients(sh_degree) as u64 * 12),
-        ];
+        let widths = [size_of::<Geometry>(), 12 * sh_coefficients(sh_degree)].map(|width| width as u64);
+        let geometry = gpu.buffer("Gaussians", count as u64 * widths[0])?;
+        let sh = gpu.buffer("spherical harmonics", count as u64 * widths[1])?;
         let mut commands = gpu.commands();
-        let [geometry, sh] = columns.map(|(what, column, width)| {
-            let joined = gpu.buffer(what, count as u64 * width)?;
-            let mut at = 0;
-            for part in &parts {
-                let bytes = part.count as u64 * width;
-                commands.copy_to(column(part), &joined, at, bytes);
-                at += bytes;
-            }
-            Ok::<_, GpuError>(joined)
-        });
-        let scene = Self { geometry: geometry?, sh: sh?, count, sh_degree };
+        let mut at = 0;
+        for part in parts {
+            let n = part.count as u64;
+            commands.copy_to(&part.geometry, &geometry, at * widths[0], n * widths[0]);
+            commands.copy_to(&part.sh, &sh, at * widths[1], n * widths[1]);
+            at += n;
+        }
+        let scene = Self { geometry, sh, count, sh_degree };
         gpu.submit(commands)?;
         Ok(scene)
     }

@@ -145,7 +145,7 @@ impl Maker<'_> {
 }
 
 fn pixel_runs(tiles: Option<&TileMask>, size: ImageSize) -> Vec<Range<usize>> {
-    tiles.map_or_else(|| vec![0..size.pixels()], |tiles| tiles.pixel_runs(size))
+    tiles.map_or_else(|| std::iter::once(0..size.pixels()).collect(), |tiles| tiles.pixel_runs(size))
 }
 
 /// The values of some runs of a plane, in exactly the memory they need.
