@@ -5,7 +5,9 @@ use anyhow::{Context, Result, bail};
 use ffgs_core::SkyCube;
 use ffgs_method::RenderMode;
 use ffgs_pipeline::{frame::load_training, frame::select_views, registry::open_capture};
-use ffgs_trainer::{FirstFrameConfig, INITIAL_OPACITY, from_points, robust_extent, train_first_frame};
+use ffgs_trainer::{
+    CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, from_points, robust_extent, train_first_frame,
+};
 use std::path::Path;
 
 fn main() -> Result<()> {
@@ -21,12 +23,12 @@ fn main() -> Result<()> {
     let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);
     let extent = robust_extent(&gaussians);
-    let sky = SkyCube::filled(64, [0.5; 3]);
-    let trained = train_first_frame(&config, &views, gaussians, sky, extent, 1, &mut |step| {
+    let start = FirstFrame { gaussians, sky: SkyCube::filled(64, [0.5; 3]) };
+    let trained = train_first_frame(&CpuBackend, &config, &views, start, extent, 1, &mut |step| {
         if step.iteration % 50 == 0 {
             println!("step {}: PSNR {:.2} dB, {} Gaussians", step.iteration, step.psnr, step.gaussians);
         }
-    });
+    })?;
     ffgs_splats::write_ply(Path::new(out), &trained.gaussians, None, RenderMode::Mip)?;
     Ok(())
 }

@@ -432,7 +432,7 @@ impl<'a> Job<'a> {
         let format = registry::run_format();
         let file = |layer: &str| folder.join(format!("{layer}{}", format.extension()));
         let (static_file, dynamic_file) = (file("static"), file("dynamic"));
-        format.write(&static_file, &Splats::from(&scene.static_layer), RenderMode::Mip)?;
+        format.write(&static_file, &Splats::from(&*scene.static_layer), RenderMode::Mip)?;
         let Dynamic { gaussians, covariances, ids, .. } = &scene.dynamic;
         let dynamic = Splats { gaussians, followed: Some(Followed { covariances, ids }) };
         format.write(&dynamic_file, &dynamic, RenderMode::Mip)?;

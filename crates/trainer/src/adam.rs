@@ -3,7 +3,6 @@
 //! Every Gaussian counts its own steps, so that one born by densification, or rarely seen, gets the bias correction
 //! of its own history.
 
-use crate::backend::Columns;
 use crate::densify::IndexMap;
 use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Gaussians;
@@ -40,6 +39,22 @@ impl LearningRates {
     pub const fn with_means(means: f32) -> Self {
         Self { means, quats: 1e-3, scales: 5e-3, opacities: 5e-2, sh0: 2.5e-3, sh_rest: 1.25e-4 }
     }
+}
+
+/// Which parameters of Gaussians move. No moments are kept of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Columns {
+    /// Positions, rotations, scales and opacities.
+    pub geometry: bool,
+    /// SH coefficients.
+    pub colours: bool,
+}
+
+impl Columns {
+    /// Everything.
+    pub const ALL: Self = Self { geometry: true, colours: true };
+    /// SH coefficients only.
+    pub const COLOURS: Self = Self { geometry: false, colours: true };
 }
 
 /// Which Gaussians a step updates.

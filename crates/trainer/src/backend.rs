@@ -1,8 +1,9 @@
 //! Where training is computed. Schedules, the order of views, density control and the loops of the lanes exist once, in
 //! this crate; a backend has the memory and the arithmetic of single steps (docs/adr/0032-where-training-is-computed.md).
 
+use crate::adam::{Columns, LearningRates};
 use crate::densify::{GradientSums, IndexMap};
-use crate::{LearningRates, Prior, Progress};
+use crate::{Prior, Progress};
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use std::sync::Arc;
@@ -146,6 +147,13 @@ pub struct TaskView<'a> {
     pub tiles: Option<TileMask>,
 }
 
+impl<'a> TaskView<'a> {
+    /// A view of which the pixels of `region` count.
+    pub fn of_region(view: &'a TrainingView, region: Mask) -> Self {
+        Self { view, region: Some(region), tiles: None }
+    }
+}
+
 /// What stands around a layer under training.
 pub enum Around<'a> {
     /// A sky behind it, which stays.
@@ -165,22 +173,6 @@ pub struct CutLayers<'a> {
     pub sky: &'a SkyCube,
     /// Weight of the layer's mean alpha outside a view's region.
     pub outside_alpha: f32,
-}
-
-/// Which parameters of Gaussians move. No moments are kept of the others.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Columns {
-    /// Positions, rotations, scales and opacities.
-    pub geometry: bool,
-    /// SH coefficients.
-    pub colours: bool,
-}
-
-impl Columns {
-    /// Everything.
-    pub const ALL: Self = Self { geometry: true, colours: true };
-    /// SH coefficients only.
-    pub const COLOURS: Self = Self { geometry: false, colours: true };
 }
 
 /// What was changed between two steps.

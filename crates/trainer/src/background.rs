@@ -1,7 +1,6 @@
 //! What the static lane and the sky lane share. Both look only at pixels outside the dilated foreground mask, so that
 //! they need nothing from the dynamic lane of the same frame.
 
-use crate::backend::TaskView;
 use crate::{LearningRates, SkyView, TexelGradients};
 use ffgs_core::{Camera, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use serde::{Deserialize, Serialize};
@@ -88,11 +87,6 @@ impl BackgroundConfig {
             StaticMethod::Steps => self.static_iterations,
         }
     }
-}
-
-/// A view of which the background counts.
-pub(crate) fn background_view<'a>(view: &'a TrainingView, config: &BackgroundConfig) -> TaskView<'a> {
-    TaskView { view, region: Some(outside(view, config.mask_dilation)), tiles: None }
 }
 
 /// Pixels of a view outside the foreground, grown by `dilation` pixels.

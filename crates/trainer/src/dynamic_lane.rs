@@ -4,8 +4,8 @@
 //! image = front + T_front (dynamic over behind). A step then touches only the moving Gaussians and the tiles under
 //! the dilated mask.
 
-use crate::LearningRates;
-use crate::backend::{Around, Columns, CutLayers, LayerTask, LayerTraining, TaskView, TrainBackend};
+use crate::adam::{Columns, LearningRates};
+use crate::backend::{Around, CutLayers, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::prior::Prior;
 use crate::schedule::{Epochs, decay};
 use crate::view::Progress;

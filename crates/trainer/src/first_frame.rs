@@ -1,7 +1,7 @@
 //! Frame 0: static, dynamic and sky together, from points, trackside and initialisation views.
 
-use crate::LearningRates;
-use crate::backend::{Around, Columns, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
+use crate::adam::{Columns, LearningRates};
+use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::densify::{DensityConfig, DensityControl, reset_opacities};
 use crate::schedule::{Epochs, decay};
 use crate::view::Progress;

@@ -20,10 +20,9 @@ mod sky_lane;
 mod static_lane;
 mod view;
 
-pub use adam::{Adam, AdamVec, LearningRates, Update, bias_corrections};
+pub use adam::{Adam, AdamVec, Columns, LearningRates, Update, bias_corrections};
 pub use backend::{
-    Around, Columns, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView,
-    TrainBackend,
+    Around, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView, TrainBackend,
 };
 pub use background::{BackgroundConfig, StaticMethod};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};

@@ -1,7 +1,7 @@
 //! The sky lane: texels of the cube map, through what the static layer lets through.
 
-use crate::backend::{SkyTask, SkyTraining, TrainBackend};
-use crate::background::{BackgroundConfig, background_view};
+use crate::backend::{SkyTask, SkyTraining, TaskView, TrainBackend};
+use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
@@ -45,7 +45,8 @@ pub fn train_sky<B: TrainBackend>(
     if views.is_empty() || config.sky_iterations == 0 || sky.is_none() {
         return Ok(());
     }
-    let tasks = views.iter().map(|view| background_view(view, config)).collect();
+    let tasks =
+        views.iter().map(|view| TaskView::of_region(view, outside(view, config.mask_dilation))).collect();
     let mut training = backend.upload_sky(SkyTask { sky, rate: config.sky_rate, layer, views: tasks })?;
     let mut epochs = Epochs::new((0..views.len()).collect(), seed);
     for _ in 0..config.sky_iterations {

@@ -1,8 +1,9 @@
 //! The static lane as the paper has it: steps of Adam on the SH coefficients, one view each.
 
 use super::Photographed;
-use crate::backend::{Around, Columns, LayerTask, LayerTraining, TrainBackend};
-use crate::background::{BackgroundConfig, background_view};
+use crate::adam::Columns;
+use crate::backend::{Around, LayerTask, LayerTraining, TaskView, TrainBackend};
+use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
 use crate::view::Progress;
 use ffgs_core::Gaussians;
@@ -23,7 +24,10 @@ pub(super) fn train<B: TrainBackend>(
     let mut training = backend.upload_layer(LayerTask {
         layer,
         columns: Columns::COLOURS,
-        views: views.iter().map(|view| background_view(view, config)).collect(),
+        views: views
+            .iter()
+            .map(|view| TaskView::of_region(view, outside(view, config.mask_dilation)))
+            .collect(),
         around: Around::Sky(sky),
         prior: None,
         sums_gradients: false,
