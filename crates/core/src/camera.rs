@@ -185,6 +185,12 @@ impl Camera {
         -(self.rotation.transpose() * self.translation)
     }
 
+    /// The same camera in a world whose origin is at `origin` of this one (m).
+    #[must_use]
+    pub fn relative_to(&self, origin: DVec3) -> Self {
+        Self { translation: self.translation + self.rotation * origin, ..*self }
+    }
+
     /// Projects a world point; `None` when it is not in front of the camera.
     pub fn project(&self, point_in_world: DVec3) -> Option<Projection> {
         let p = self.rotation * point_in_world + self.translation;

@@ -2,9 +2,10 @@
 
 use crate::error::DatasetError;
 use crate::meta::{Entry, Meta, View};
-use crate::{pixels, points};
+use crate::{origin, pixels, points};
 use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
 use ffgs_method::{Points, Split};
+use glam::DVec3;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,8 @@ pub struct Capture {
     splits: [Meta; 3],
     /// Names of the views of each split.
     names: [Vec<String>; 3],
+    /// Near the cameras (m).
+    origin: DVec3,
 }
 
 impl Capture {
@@ -51,7 +54,9 @@ impl Capture {
         }
         let splits = [train, test, init];
         let names = splits.each_ref().map(|meta| meta.views.iter().map(|view| view.name.clone()).collect());
-        Ok(Self { root: root.to_owned(), splits, names })
+        let cameras = splits[Split::Train as usize].entries.first().into_iter().flatten();
+        let origin = origin::near(cameras.filter_map(|entry| entry.camera().ok()));
+        Ok(Self { root: root.to_owned(), splits, names, origin })
     }
 
     /// The capture's folder.
@@ -143,7 +148,17 @@ impl Capture {
     /// # Errors
     /// When the file is missing or damaged.
     pub fn initial_points(&self) -> Result<Points, DatasetError> {
-        points::read(&self.points_path())
+        points::read(&self.points_path(), DVec3::ZERO)
+    }
+
+    /// The same relative to [`Capture::origin`].
+    pub(crate) fn near_points(&self) -> Result<Points, DatasetError> {
+        points::read(&self.points_path(), self.origin)
+    }
+
+    /// A place near the cameras, where these are so far from zero that f32 would blur them (m); else zero.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// Path of the initial points.

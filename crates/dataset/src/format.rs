@@ -4,6 +4,7 @@ use crate::capture::{Capture, POINTS_FILE, meta_file};
 use crate::error::DatasetError;
 use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
 use ffgs_method::{self as method, CaptureFormat, Fault, Part, Plugin, Points, Split, ViewAt};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// Captures as Dynamic3DGaussians stores them.
@@ -41,12 +42,18 @@ impl method::Capture for Capture {
         self.frames()
     }
 
+    fn origin(&self) -> DVec3 {
+        self.origin()
+    }
+
     fn views(&self, split: Split) -> &[String] {
         self.names(split)
     }
 
     fn camera(&self, at: ViewAt) -> Result<Camera, Fault> {
-        self.camera(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+        let camera =
+            self.camera(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))?;
+        Ok(camera.relative_to(self.origin()))
     }
 
     fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault> {
@@ -69,7 +76,7 @@ impl method::Capture for Capture {
         if !is_present(&self.points_path()) {
             return Ok(None);
         }
-        self.initial_points().map(Some).map_err(|error| error.in_capture(self.root()))
+        self.near_points().map(Some).map_err(|error| error.in_capture(self.root()))
     }
 
     fn part(&self, part: Part) -> PathBuf {

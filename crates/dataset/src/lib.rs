@@ -17,6 +17,7 @@ mod check;
 mod error;
 mod format;
 mod meta;
+mod origin;
 mod pixels;
 mod points;
 mod report;

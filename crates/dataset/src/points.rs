@@ -3,20 +3,22 @@
 use crate::error::DatasetError;
 use ffgs_arrays::NpzFile;
 use ffgs_method::Points;
+use glam::DVec3;
 use std::path::Path;
 
 /// More points than any scene starts from: as many Gaussians take four gigabytes.
 const MAX_POINTS: usize = 1 << 24;
 
-/// Reads `data` (N, 7) of the file.
-pub(crate) fn read(file: &Path) -> Result<Points, DatasetError> {
+/// Reads `data` (N, 7) of the file, with positions relative to `origin` (m).
+pub(crate) fn read(file: &Path, origin: DVec3) -> Result<Points, DatasetError> {
     let data = NpzFile::open_within(file, MAX_POINTS * size_of::<[f64; 7]>())?
-        .shaped::<f32>("data", &[None, Some(7)])?;
+        .shaped::<f64>("data", &[None, Some(7)])?;
     let mut cloud = Points::default();
     for row in data.rows::<7>().unwrap_or_default() {
-        if row.iter().all(|v| v.is_finite()) {
+        if row.iter().all(|v| (*v as f32).is_finite()) {
             let [x, y, z, r, g, b, foreground] = *row;
-            cloud.push([x, y, z, r, g, b], foreground > 0.5);
+            let near = DVec3::new(x, y, z) - origin;
+            cloud.push([near.x, near.y, near.z, r, g, b].map(|v| v as f32), foreground > 0.5);
         } else {
             cloud.dropped += 1;
         }

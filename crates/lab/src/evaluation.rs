@@ -88,7 +88,7 @@ impl Evaluation {
         let tracks = ffgs_tracks::sources(&*capture)?;
         ensure!(!tracks.is_empty(), "the capture has no tracks/tracks.json");
         let views = select_views(&*capture, None)?;
-        let truth = Truth::read(root)?;
+        let truth = Truth::read(root)?.relative_to(capture.origin());
         let count = capture.frames().min(truth.frames());
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
         ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");

@@ -2,6 +2,7 @@
 
 use crate::{Fault, Plugin};
 use ffgs_core::{Camera, ImageRgb8, Mask};
+use glam::DVec3;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -26,6 +27,12 @@ pub trait Capture: fmt::Debug + Send + Sync {
 
     /// Number of frames of the training and test views.
     fn frames(&self) -> usize;
+
+    /// Where the world of [`camera`](Self::camera) and [`points`](Self::points) has its origin, in the coordinates of the
+    /// files (m). Positions are kept as f32, so a capture far from its origin (UTM) is read about a near one.
+    fn origin(&self) -> DVec3 {
+        DVec3::ZERO
+    }
 
     /// Names of the views of a split, each once; [`ViewAt::view`] is an index into it.
     fn views(&self, split: Split) -> &[String];

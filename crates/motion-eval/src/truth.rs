@@ -149,6 +149,17 @@ impl Truth {
         Some(*at(to)? * at(from)?.inverse())
     }
 
+    /// The same in a world whose origin is at `origin` of this one (m).
+    #[must_use]
+    pub fn relative_to(mut self, origin: DVec3) -> Self {
+        if origin != DVec3::ZERO {
+            let poses = self.poses.iter_mut().flat_map(BTreeMap::values_mut);
+            poses.for_each(|pose| pose.translation -= origin);
+            self.surface.iter_mut().flatten().for_each(|point| *point -= origin);
+        }
+        self
+    }
+
     /// Surface points of a frame (m) with their parts.
     pub fn surface(&self, frame: usize) -> (&[DVec3], &[u32]) {
         (self.surface.get(frame).map_or(&[], Vec::as_slice), &self.part_of_point)

@@ -38,6 +38,10 @@ pub struct Manifest {
     /// Digest of cameras, points and the list of trackers; empty in old runs.
     #[serde(default)]
     pub capture_digest: String,
+    /// Where the origin of all positions that the run writes is, in the coordinates of the capture's files (m). Zero
+    /// but for captures far from theirs.
+    #[serde(default)]
+    pub origin: [f64; 3],
     /// Processor architecture, its threads, operating system.
     pub machine: String,
     /// Every setting, the seed included.
@@ -67,6 +71,7 @@ impl Manifest {
             device,
             version: VERSION.into(),
             capture_digest: capture_digest(capture)?,
+            origin: capture.origin().to_array(),
             machine: format!(
                 "{} {}, {} threads",
                 std::env::consts::OS,
@@ -138,14 +143,18 @@ impl Manifest {
     /// For the report.
     pub fn facts(&self) -> Vec<Fact> {
         let fact = |name: &str, value: String| Fact { name: name.into(), value };
-        vec![
+        let origin = self.origin.map(|x| x.to_string()).join(", ");
+        let far = self.origin != [0.0; 3];
+        let mut facts = vec![
             fact("program", format!("ffgs {}", self.version)),
             fact("machine", self.machine.clone()),
             fact("device", self.device.clone()),
             fact("frames", format!("{}..{}", self.frames.start, self.frames.end)),
             fact("method", self.method.to_string()),
             fact("seed", self.config.seed.to_string()),
-        ]
+        ];
+        facts.extend(far.then(|| fact("origin of positions (m)", origin)));
+        facts
     }
 }
 
@@ -187,6 +196,7 @@ mod tests {
             device: "CPU".into(),
             version: VERSION.into(),
             capture_digest: "0123abcd".into(),
+            origin: [0.0; 3],
             machine: "a machine".into(),
             config: Config::default(),
         }

@@ -31,6 +31,9 @@ pub fn capture_digest(capture: &dyn Capture) -> Result<String> {
         let values = points.positions.iter().chain(&points.colours).flatten();
         values.for_each(|value| hasher.update(&value.to_le_bytes()));
     }
+    if capture.origin() != glam::DVec3::ZERO {
+        hasher.update(format!("{:?}", capture.origin()).as_bytes());
+    }
     let trackers = checksum(&capture.root().join("tracks/tracks.json"))?;
     hasher.update(format!("{trackers:?}").as_bytes());
     Ok(format!("{:08x}", hasher.finalize()))

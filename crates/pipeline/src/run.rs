@@ -4,6 +4,7 @@ use crate::check::check_capture;
 use crate::config::Config;
 use crate::console::Console;
 use crate::device;
+use crate::few_views::best_trial;
 use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::json::{read_json, write_json};
@@ -18,11 +19,11 @@ use crate::record::{FrameRecord, Metrics};
 use crate::registry::{self, open_capture};
 use crate::request::RunRequest;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
+use crate::start::{camera_extent, start};
 use crate::state;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{
-    Dynamic, Gaussians, ImageRgb8, ImageSize, Scene, SkyCube, StageLog, TrainingView, spatial_order,
-    write_atomically,
+    Dynamic, Gaussians, ImageRgb8, Scene, SkyCube, StageLog, TrainingView, spatial_order, write_atomically,
 };
 use ffgs_dataset::ImageCheck;
 use ffgs_fusion::{Silhouettes, initial_covariance};
@@ -32,9 +33,7 @@ use ffgs_method::{
 use ffgs_motion::pixel_sizes;
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{
-    FirstFrame, INITIAL_OPACITY, Photographed, Prior, StaticLane, Surroundings, from_points, shows_sky,
-};
+use ffgs_trainer::{FirstFrame, FirstFrameConfig, Photographed, Prior, StaticLane, Surroundings, shows_sky};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -113,6 +112,12 @@ impl<'a> Job<'a> {
         request.method.build(&Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() })?;
         if let Some(run) = &request.first_frame {
             manifest.check_first_frame(&RunFolder(run.clone()))?;
+        }
+        if capture.origin() != glam::DVec3::ZERO {
+            tracing::info!(
+                "the cameras are far from zero: positions are relative to {} (run.json, origin)",
+                capture.origin()
+            );
         }
         let lock = FolderLock::take(&folder.0)?;
         manifest.claim(&folder, request.resume)?;
@@ -220,7 +225,7 @@ impl<'a> Job<'a> {
             self.taken_from(&RunFolder(run.clone()), frame, &views)?
         } else {
             record.log.since("load", start);
-            let trained = self.train_all(&views, console)?;
+            let trained = self.train_all(&views, console, &mut record.log)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
             self.split(&trained.gaussians, sky, &views[..count], &views)?
         };
@@ -259,18 +264,31 @@ impl<'a> Job<'a> {
         self.split(&scene.joint(), scene.sky, &views[..self.views.len()], views)
     }
 
-    fn train_all(&self, views: &[TrainingView], console: &mut Console) -> Result<FirstFrame> {
-        let points = self.capture.points()?.context("the capture has no initial points")?;
-        let degree = self.config().first_frame.sh_degree;
-        let initial = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
-        let initial = initial.select(&spatial_order(&initial.means));
-        let sky = SkyCube::filled(self.config().sky_face_size, mean_colour(views));
-        let bar = console.lane("first frame", self.config().first_frame.iterations);
-        let extent = camera_extent(views);
-        let seed = self.config().seed;
-        let start = FirstFrame { gaussians: initial, sky };
+    fn train_all(
+        &self,
+        views: &[TrainingView],
+        console: &mut Console,
+        log: &mut StageLog,
+    ) -> Result<FirstFrame> {
         let config = &self.config().first_frame;
-        self.lanes().first_frame(config, views, start, extent, seed, &mut |p| bar.show(p))
+        let mut train = |config: &FirstFrameConfig, views: &[TrainingView]| {
+            let bar = console.lane("first frame", config.iterations);
+            self.lanes().first_frame(
+                config,
+                views,
+                start(&*self.capture, self.config(), config.sh_degree, views)?,
+                camera_extent(views),
+                self.config().seed,
+                &mut |p| bar.show(p),
+            )
+        };
+        let start = Instant::now();
+        let Some(best) = best_trial(config, views, self.lanes(), &mut train)? else {
+            return train(config, views);
+        };
+        log.since("trials of few cameras", start);
+        best.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
+        train(&best.config, views)
     }
 
     fn split(
@@ -494,28 +512,6 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
         );
     }
     Ok(())
-}
-
-/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
-fn camera_extent(views: &[TrainingView]) -> f32 {
-    let centers = || views.iter().map(|v| v.camera.center());
-    let mean = centers().sum::<glam::DVec3>() / views.len().max(1) as f64;
-    1.1 * centers().map(|c| (c - mean).length()).fold(0.0, f64::max) as f32
-}
-
-/// Mean colour of the top rows, where outdoor views show the sky.
-fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
-    let mut sum = [0.0_f64; 3];
-    let mut count = 0.0;
-    for view in views {
-        let ImageSize { width, height } = view.image.size();
-        for pixel in 0..width * (height / 8).max(1) {
-            let rgb = view.image.pixel(pixel);
-            (0..3).for_each(|c| sum[c] += f64::from(rgb[c]));
-            count += 1.0;
-        }
-    }
-    sum.map(|s| (s / f64::max(count, 1.0)) as f32)
 }
 
 #[cfg(test)]

@@ -40,6 +40,9 @@ pub struct FirstFrameConfig {
     pub opacity_reset: f32,
     /// Rate of the sky's texels.
     pub sky_rate: f32,
+    /// With at most so many views (and three at least), steps and degree are those under which a view left out is
+    /// best; 0 = never.
+    pub few_views: usize,
 }
 
 impl Default for FirstFrameConfig {
@@ -57,6 +60,7 @@ impl Default for FirstFrameConfig {
             max_gaussians: 90_000,
             opacity_reset: 0.0,
             sky_rate: 5e-3,
+            few_views: 0,
         }
     }
 }
