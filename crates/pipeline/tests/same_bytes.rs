@@ -24,8 +24,8 @@ fn results(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     found
 }
 
-/// Sets of one machine may differ so much in the mean PSNR of a view (dB): ten times what was measured on the sample.
-const PSNR_TOLERANCE: f64 = 0.1;
+/// Sets of one machine may differ so much in the PSNR of a view (dB): 1.4e-5 was measured on the sample, and longer runs diverge.
+const PSNR_TOLERANCE: f64 = 1e-3;
 
 /// Two frames of the sample, every stage of the method in the second; `None` where the processor lacks the set.
 fn run(out: &Path, set: &str, threads: usize) -> Option<()> {
@@ -70,7 +70,7 @@ fn any_number_of_threads_gives_the_same_bytes_with_each_instruction_set() {
     let folder = TempDir::new().unwrap();
     let out = |set: &str, threads: usize| folder.path().join(format!("{set}-{threads}"));
     // One set with many numbers of threads, the others with two.
-    let matrix = [("scalar", &[1, 3][..]), ("avx2", &[1, 3]), ("avx512", &[1, 2, 3, 8])];
+    let matrix = [("scalar", &[1, 3][..]), ("avx2", &[1, 3]), ("avx512", &[1, 8])];
     let mut had = Vec::new();
     for (set, threads) in matrix {
         if threads.iter().all(|&threads| run(&out(set, threads), set, threads).is_some()) {
