@@ -9,7 +9,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The bars of a run: one for the frames, one a lane while it works. Where the error stream is no terminal, lines.
+/// The bars of a run: one for the frames, one per lane while it works. Where the error stream is no terminal, lines.
 pub struct Console {
     bars: MultiProgress,
     frames: ProgressBar,
