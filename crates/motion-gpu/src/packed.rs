@@ -1,4 +1,4 @@
-//! A dense field in 16-bit numbers: 8 bytes a pixel instead of 16.
+//! A dense field in 16-bit numbers: 8 bytes per pixel instead of 16.
 
 use bytemuck::{Pod, Zeroable};
 use ffgs_core::DenseMotion;

@@ -10,7 +10,7 @@ use std::path::Path;
 pub(crate) fn read_rgb(file: &Path) -> Result<ImageRgb8, PrepareError> {
     let image = decode(file)?.into_rgb8();
     let size = ImageSize { width: image.width() as usize, height: image.height() as usize };
-    Ok(ImageRgb8::new(size, image.into_raw()).expect("an RGB image has three bytes a pixel"))
+    Ok(ImageRgb8::new(size, image.into_raw()).expect("an RGB image has three bytes per pixel"))
 }
 
 /// Reads a mask of any size: foreground where the grey value (or, with an alpha channel, the alpha) is not zero.

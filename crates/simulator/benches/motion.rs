@@ -99,7 +99,7 @@ fn triangulation(c: &mut Criterion) {
 }
 
 /// Three trackers; the estimates of ten views serve both sizes. Floor of the literal one: three inverses of symmetric
-/// 3x3 matrices and 300 bytes a Gaussian.
+/// 3x3 matrices and 300 bytes per Gaussian.
 fn fusion(c: &mut Criterion) {
     let mut group = c.benchmark_group("fusion_three_trackers");
     group.sample_size(10);

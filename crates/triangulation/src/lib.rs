@@ -4,7 +4,7 @@
 //! independent apart from one pooled noise scale, which is summed in a fixed order: results do not depend on the
 //! number of threads.
 //!
-//! A vector holds several Gaussians, one a lane, and every loop runs over the views that any of them was observed in, whose
+//! A vector holds several Gaussians, one per lane, and every loop runs over the views that any of them was observed in, whose
 //! camera is broadcast. A lane's sums do not depend on the other lanes. Gaussians are grouped so that the lanes of a group
 //! are busy for as long: first by the views that observed them, then by the number of views that will probably be removed.
 //!

@@ -30,7 +30,7 @@ impl<S: Simd> Real<S> {
         Self { simd, lanes: simd.splat_f64s(value) }
     }
 
-    /// The first entries, one a lane.
+    /// The first entries, one per lane.
     #[inline(always)]
     pub fn from_lanes(simd: S, values: &Lanes) -> Self {
         Self { simd, lanes: S::as_simd_f64s(values).0[0] }

@@ -115,7 +115,7 @@ impl<'a, S: Simd> Views<'a, S> {
         Real::all(self.simd, value)
     }
 
-    /// Fills with the views that observed the given Gaussians, one a lane (the rest of the lanes none), weights scaled to
+    /// Fills with the views that observed the given Gaussians, one per lane (the rest of the lanes none), weights scaled to
     /// mean 1.
     #[inline(always)]
     pub fn gather(&mut self, previous: &[DVec3], observations: &Observations, gaussians: &[u32], rays: bool) {

@@ -58,7 +58,7 @@ fn parse(line: &str) -> Option<(String, Counts)> {
     Some((scene, Counts { gaussians, colours, visible, pairs, pixels, contributions }))
 }
 
-/// Vector operations (one a lane) and bytes read plus written.
+/// Vector operations (one per lane) and bytes read plus written.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Pass {
     operations: f64,

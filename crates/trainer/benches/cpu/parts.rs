@@ -10,7 +10,7 @@ fn images(size: ImageSize) -> (PlanarImage, ImageRgb8) {
     let mut rendered = PlanarImage::zeros(size);
     rendered.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = 0.5 + 0.4 * (i as f32 * 0.37).sin());
     let target = (0..n).map(|i| (i * 7919 % 251) as u8).collect();
-    (rendered, ImageRgb8::new(size, target).expect("three bytes a pixel"))
+    (rendered, ImageRgb8::new(size, target).expect("three bytes per pixel"))
 }
 
 /// An ellipse with the given share of the image.

@@ -32,7 +32,7 @@ impl Step {
         let bytes = (0..size.pixels() * 3).map(|i| (i * 7919 % 251) as u8).collect();
         Self {
             adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
-            photo: ImageRgb8::new(size, bytes).expect("three bytes a pixel"),
+            photo: ImageRgb8::new(size, bytes).expect("three bytes per pixel"),
             rasterizer: CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None }),
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),

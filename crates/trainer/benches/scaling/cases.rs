@@ -121,7 +121,7 @@ impl Case {
 
     fn training_views(&self) -> Vec<TrainingView> {
         let bytes: Vec<u8> = (0..self.size.pixels() * 3).map(|i| (i * 7919 % 251) as u8).collect();
-        let image = ImageRgb8::new(self.size, bytes).expect("three bytes a pixel");
+        let image = ImageRgb8::new(self.size, bytes).expect("three bytes per pixel");
         let side = |v: usize| 0.02 * (v as f64 - 0.5 * self.views as f64);
         let view =
             |v| TrainingView { camera: camera(self.size, side(v)), image: image.clone(), mask: self.mask() };
