@@ -7,6 +7,8 @@ const MAGIC: &[u8; 4] = b"FF4D";
 pub(crate) const VERSION: u32 = 1;
 const HEAD: usize = 8;
 const CHECKSUM: usize = 4;
+/// CRC-32 of any bytes with their own CRC-32 behind them.
+const RESIDUE: u32 = 0x2144_DF1C;
 
 /// What a section holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +54,17 @@ pub(crate) fn encode(sections: &[(Tag, Vec<u8>)]) -> Vec<u8> {
     }
     out.extend(crc32fast::hash(&out).to_le_bytes());
     out
+}
+
+/// The checksum at a file's end.
+pub(crate) fn checksum(bytes: &[u8]) -> u32 {
+    bytes.last_chunk::<CHECKSUM>().map_or(0, |checksum| u32::from_le_bytes(*checksum))
+}
+
+/// Whether a list that names a file of checksum `listed` means this one. The first lists held the CRC-32 of all bytes, the
+/// checksum among them, which is the same for every file.
+pub(crate) fn is_listed(bytes: &[u8], listed: u32) -> bool {
+    [checksum(bytes), RESIDUE].contains(&listed)
 }
 
 /// The sections of a file whose checksum is right. Those with unknown names are passed over.

@@ -79,7 +79,7 @@ pub struct Entry {
     pub file: String,
     /// Its size.
     pub bytes: u64,
-    /// Its CRC-32, of all of its bytes.
+    /// Its checksum: the last four bytes of the file, the CRC-32 of all bytes before them.
     pub crc32: u32,
     /// Whether it can be shown after the last static key without any other frame.
     pub key: bool,

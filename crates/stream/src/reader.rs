@@ -1,5 +1,5 @@
 use crate::error::{InFile, Problem, StreamError};
-use crate::frame_file::{Tag, decode};
+use crate::frame_file::{Tag, decode, is_listed};
 use crate::layers::{decode_change, decode_colours, decode_key, decode_uncertainty};
 use crate::manifest::{Entry, Manifest, read_entries};
 use crate::row::Row;
@@ -134,7 +134,7 @@ impl Reader {
         let path = self.folder.join(&entry.file);
         let bytes = read_bytes(&path, entry.bytes).in_file(&path)?;
         let apply = || {
-            if crc32fast::hash(&bytes) != entry.crc32 {
+            if !is_listed(&bytes, entry.crc32) {
                 return Err(Problem::Corrupt("not the file that the list names".into()));
             }
             self.apply_sections(state, at, &decode(&bytes)?)

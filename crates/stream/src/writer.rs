@@ -1,5 +1,5 @@
 use crate::error::{InFile, Problem, StreamError};
-use crate::frame_file::{Tag, encode};
+use crate::frame_file::{Tag, checksum, encode};
 use crate::layers::{Change, encode_change, encode_colours, encode_key, encode_uncertainty};
 use crate::manifest::{Entry, FRAMES, MANIFEST, Manifest, read_entries};
 use crate::motion::{Motion, Pair, clusters, nearest, robust_fit};
@@ -212,7 +212,7 @@ impl Writer {
             frame,
             file,
             bytes: bytes.len() as u64,
-            crc32: crc32fast::hash(&bytes),
+            crc32: checksum(&bytes),
             key,
             static_key,
             sky,

@@ -1,7 +1,7 @@
 //! Streams of made-up layers: what is read is what was written, to the step, in any order, and damage is an error.
 
 use ffgs_core::{Gaussians, sigmoid};
-use ffgs_stream::{DecodedFrame, Frame, Manifest, Precision, Reader, Steps, Writer};
+use ffgs_stream::{DecodedFrame, Entry, Frame, Manifest, Precision, Reader, Steps, Writer};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -304,6 +304,30 @@ fn damage_is_an_error_that_names_the_file_and_other_frames_still_play() {
     assert!(reader.read(5).is_err());
     scene.check(3, &reader.read(3).unwrap());
     assert!(reader.read(77).unwrap_err().to_string().contains("77"));
+}
+
+#[test]
+fn the_list_tells_files_apart_and_lists_of_before_are_read() {
+    let (scene, folder) = (Scene::new(3), TempDir::new().unwrap());
+    scene.write(folder.path());
+    let mut entries = Reader::open(folder.path()).unwrap().entries().to_vec();
+    let relist = |entries: &[Entry]| {
+        let lines = entries.iter().map(|entry| serde_json::to_string(entry).unwrap() + "\n");
+        std::fs::write(folder.path().join("frames.jsonl"), lines.collect::<String>()).unwrap();
+    };
+    // The constant of the first lists: the CRC-32 of bytes and their CRC-32.
+    let sums: Vec<u32> = entries.iter().map(|entry| entry.crc32).collect();
+    entries.iter_mut().for_each(|entry| entry.crc32 = 558_161_692);
+    relist(&entries);
+    scene.check(2, &Reader::open(folder.path()).unwrap().read(2).unwrap());
+    // A sound file of the listed size, but of another frame.
+    entries.iter_mut().zip(sums).for_each(|(entry, sum)| entry.crc32 = sum);
+    entries[1].bytes = entries[2].bytes;
+    relist(&entries);
+    let [one, two] = [1, 2].map(|i: usize| folder.path().join(&entries[i].file));
+    std::fs::copy(two, one).unwrap();
+    let error = Reader::open(folder.path()).unwrap().read(1).unwrap_err().to_string();
+    assert!(error.contains("000001.4df") && error.contains("not the file that the list names"), "{error}");
 }
 
 #[test]

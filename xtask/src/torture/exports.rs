@@ -81,7 +81,7 @@ fn mend_checksums(stream: &Path, file: &Path) -> Result<()> {
     let mended = |line: &str| -> Result<String> {
         let mut entry: Value = serde_json::from_str(line)?;
         if entry["file"] == json!(name) {
-            (entry["crc32"], entry["bytes"]) = (json!(crc32(&bytes)), json!(bytes.len()));
+            (entry["crc32"], entry["bytes"]) = (json!(sum), json!(bytes.len()));
         }
         Ok(format!("{entry}\n"))
     };
