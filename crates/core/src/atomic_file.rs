@@ -1,16 +1,16 @@
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::Path;
 
 /// Writes `path` through a temporary file beside it and a rename, so that a reader (or a resumed run) sees the
-/// whole file or none. Missing parent folders are created. On an error the temporary file is removed.
+/// whole file or none, after a power failure too: the file, its name and new folders are on the disk when this returns,
+/// where the system can say so. Missing parent folders are created. On an error the temporary file is removed.
 pub fn write_atomically<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
 ) -> Result<(), E> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
+    let folder = folder_of(path);
+    create_folder(folder)?;
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(format!(".{}.part", std::process::id()));
     let temporary = path.with_file_name(name);
@@ -19,7 +19,39 @@ pub fn write_atomically<E: From<io::Error>>(
         // The error that matters is the first one; the temporary file may never have been created.
         let _ = fs::remove_file(&temporary);
     }
-    result
+    result?;
+    sync_folder(folder)?;
+    Ok(())
+}
+
+/// The folder that holds a name.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+fn create_folder(folder: &Path) -> io::Result<()> {
+    if folder.is_dir() {
+        return Ok(());
+    }
+    let parent = folder_of(folder);
+    create_folder(parent)?;
+    match fs::create_dir(folder) {
+        Err(_) if folder.is_dir() => Ok(()), // Another thread was faster.
+        made => made.and_then(|()| sync_folder(parent)),
+    }
+}
+
+/// Puts the names in a folder on the disk. Windows has no such call and needs none; elsewhere a folder that may not be read
+/// cannot be opened, and some network file systems sync files only.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(windows) {
+        return Ok(());
+    }
+    let cannot = [ErrorKind::PermissionDenied, ErrorKind::InvalidInput, ErrorKind::Unsupported];
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        Err(error) if cannot.contains(&error.kind()) => Ok(()),
+        synced => synced,
+    }
 }
 
 fn write_and_sync<E: From<io::Error>>(
@@ -36,6 +68,22 @@ fn write_and_sync<E: From<io::Error>>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn folders_are_made_as_deep_as_asked_and_by_several_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            for name in ["x", "y", "z", "w"] {
+                let path = folder.path().join("a/b/c").join(name);
+                scope.spawn(move || write_atomically(&path, |w| w.write_all(name.as_bytes())).unwrap());
+            }
+        });
+        assert_eq!(fs::read_dir(folder.path().join("a/b/c")).unwrap().count(), 4);
+        assert_eq!(folder_of(Path::new("name")), Path::new("."));
+        fs::write(folder.path().join("file"), "").unwrap();
+        let inside = folder.path().join("file/inside");
+        assert!(write_atomically(&inside, |w| w.write_all(b"")).is_err(), "a file is no folder");
+    }
 
     #[test]
     fn a_failed_write_leaves_the_old_file_and_no_temporary() {
