@@ -5,6 +5,9 @@ use thiserror::Error;
 /// Names another instruction set than the widest that the processor has.
 const VARIABLE: &str = "FFGS_SIMD";
 
+/// The names that it may have.
+const NAMES: [&str; 3] = ["scalar", "avx2", "avx512"];
+
 static CHOSEN: LazyLock<Result<Arch, NoSuchInstructions>> =
     LazyLock::new(|| std::env::var(VARIABLE).map_or_else(|_| Ok(Arch::new()), |name| named(&name)));
 
@@ -19,6 +22,13 @@ pub struct NoSuchInstructions(String);
 /// `FFGS_SIMD` names, so that machines of two kinds can be told to give the same bytes. One choice for the whole process.
 pub fn instructions() -> Arch {
     CHOSEN.as_ref().map_or_else(|_| Arch::new(), |chosen| *chosen)
+}
+
+/// The name of these instructions, for the description of a run; that of the processor's architecture where they have none.
+pub fn instruction_set() -> &'static str {
+    let kind = |arch: &Arch| std::mem::discriminant(arch);
+    let is_chosen = |name: &&str| named(name).is_ok_and(|arch| kind(&arch) == kind(&instructions()));
+    NAMES.into_iter().find(is_chosen).unwrap_or(std::env::consts::ARCH)
 }
 
 /// Refuses a name that cannot be had; for the start of a program.
@@ -44,6 +54,15 @@ fn named(name: &str) -> Result<Arch, NoSuchInstructions> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_chosen_set_has_the_name_that_chooses_it() {
+        let kind = |arch: Arch| std::mem::discriminant(&arch);
+        match named(instruction_set()) {
+            Ok(arch) => assert_eq!(kind(arch), kind(instructions())),
+            Err(_) => assert_eq!(instruction_set(), std::env::consts::ARCH),
+        }
+    }
 
     #[test]
     fn a_name_is_a_set_or_is_refused() {

@@ -25,7 +25,7 @@ pub use estimate::{EstimateStatus, Estimates, Observations};
 pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
 pub use input_file::{is_present, open_input, read_bytes, read_text};
-pub use instructions::{NoSuchInstructions, check_instructions, instructions};
+pub use instructions::{NoSuchInstructions, check_instructions, instruction_set, instructions};
 pub use mask::Mask;
 pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};
 pub use scene::{Dynamic, Knowledge, Scene};

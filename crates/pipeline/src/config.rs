@@ -144,6 +144,22 @@ mod tests {
         }
     }
 
+    #[test]
+    fn whatever_is_wrong_with_a_file_it_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.toml");
+        let refused = || format!("{:#}", Config::read(&file).unwrap_err());
+        assert!(refused().contains("settings.toml"), "missing: {}", refused());
+        let faults: [&[u8]; 6] =
+            [b"seed = ", b"sead = 1", b"seed = 'one'", b"[voronoi]\nk = inf", b"seed = -1", b"seed = 1 # \xff"];
+        for fault in faults {
+            std::fs::write(&file, fault).unwrap();
+            assert!(refused().contains("settings.toml"), "{}: {}", fault.escape_ascii(), refused());
+        }
+        std::fs::write(&file, vec![b'#'; 1 + MAX_BYTES as usize]).unwrap();
+        assert!(refused().contains("settings.toml"), "too long: {}", refused());
+    }
+
     /// Seventeen digits through run.json: a resume compares them with what the file says.
     #[test]
     fn every_number_survives_json_exactly() {

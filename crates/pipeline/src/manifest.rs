@@ -8,6 +8,7 @@ use crate::json::{read_json, write_json};
 use crate::provenance::{VERSION, capture_digest};
 use crate::request::RunRequest;
 use anyhow::{Context, Result, ensure};
+use ffgs_core::instruction_set;
 use ffgs_method::Capture;
 use ffgs_report::Fact;
 use serde::{Deserialize, Serialize};
@@ -44,6 +45,9 @@ pub struct Manifest {
     pub origin: [f64; 3],
     /// Processor architecture, its threads, operating system.
     pub machine: String,
+    /// Vector instructions, on which the last bits of every number depend; empty in old runs.
+    #[serde(default)]
+    pub instructions: String,
     /// Every setting, the seed included.
     pub config: Config,
 }
@@ -78,6 +82,7 @@ impl Manifest {
                 std::env::consts::ARCH,
                 rayon::current_num_threads()
             ),
+            instructions: instruction_set().into(),
             config: request.config,
         })
     }
@@ -86,12 +91,14 @@ impl Manifest {
     pub fn claim(&self, folder: &RunFolder, resume: bool) -> Result<()> {
         let (file, out) = (folder.manifest(), folder.0.display());
         if file.exists() {
-            let differences = self.differences(&read_json(&file)?);
+            let other = read_json(&file)?;
+            let differences = self.differences(&other);
             ensure!(
                 differences.is_empty(),
                 "{out} holds another run: {}; choose another --out or remove the folder",
                 differences.join("; ")
             );
+            self.other_instructions(&other).into_iter().for_each(|words| tracing::warn!("{out}: {words}"));
         }
         if has_frames(&folder.0) {
             ensure!(resume, "{out} holds finished frames; add --resume, or choose another --out");
@@ -104,11 +111,22 @@ impl Manifest {
         write_json(&file, self)
     }
 
+    /// What is said when frames were made with other instructions: their numbers differ in the last bits, and nothing else.
+    fn other_instructions(&self, other: &Self) -> Option<String> {
+        let (there, here) = (&other.instructions, &self.instructions);
+        (!there.is_empty() && there != here).then(|| {
+            format!(
+                "its frames were made with the instructions {there}, those to come are made with {here}: the last bits \
+                 differ from those of one machine (FFGS_SIMD chooses instructions)"
+            )
+        })
+    }
+
     /// What keeps this run from going on with `other`, a setting each. Threads and the last frame may differ: results do
     /// not depend on them. So may the capture's place when its content is the same.
     fn differences(&self, other: &Self) -> Vec<String> {
         let mut same = other.clone();
-        same.machine.clone_from(&self.machine);
+        (same.machine, same.instructions) = (self.machine.clone(), self.instructions.clone());
         same.frames.end = self.frames.end;
         if other.capture_digest.is_empty() || other.capture_digest == self.capture_digest {
             same.capture_digest.clone_from(&self.capture_digest);
@@ -148,6 +166,7 @@ impl Manifest {
         let mut facts = vec![
             fact("program", format!("ffgs {}", self.version)),
             fact("machine", self.machine.clone()),
+            fact("instructions", self.instructions.clone()),
             fact("device", self.device.clone()),
             fact("frames", format!("{}..{}", self.frames.start, self.frames.end)),
             fact("method", self.method.to_string()),
@@ -198,6 +217,7 @@ mod tests {
             capture_digest: "0123abcd".into(),
             origin: [0.0; 3],
             machine: "a machine".into(),
+            instructions: "avx2".into(),
             config: Config::default(),
         }
     }
@@ -220,9 +240,19 @@ mod tests {
     #[test]
     fn what_decides_nothing_may_differ() {
         assert!(differing(|there| there.machine = "another".into()).is_empty());
+        assert!(differing(|there| there.instructions = "scalar".into()).is_empty());
         assert!(differing(|there| there.frames.end = 2).is_empty());
         assert!(differing(|there| there.capture_path = "/moved/mini".into()).is_empty());
         assert!(differing(|there| there.capture_digest = String::new()).is_empty(), "runs before the digest");
+    }
+
+    #[test]
+    fn other_instructions_are_told() {
+        let with = |instructions: &str| Manifest { instructions: instructions.into(), ..manifest() };
+        let told = with("avx2").other_instructions(&with("avx512")).unwrap();
+        assert!(told.contains("instructions avx512") && told.contains("made with avx2"), "{told}");
+        assert_eq!(with("avx2").other_instructions(&with("avx2")), None);
+        assert_eq!(with("avx2").other_instructions(&with("")), None, "runs before the name");
     }
 
     #[test]
