@@ -12,9 +12,8 @@ pub const FRAMES: usize = 3;
 const METAS: [(&str, &[usize]); 3] =
     [("train_meta.json", &[0, 4, 8]), ("test_meta.json", &[0]), ("init_meta.json", &[0])];
 
-/// Writes the cut into `to`, which must not exist. More frames than the sample has show its frames again, in turn; tracks go by
-/// the names of images.
-pub fn cut(root: &Path, to: &Path, frames: usize) -> Result<()> {
+/// Writes the cut into `to`, which must not exist.
+pub fn cut(root: &Path, to: &Path) -> Result<()> {
     let sample = root.join(SAMPLE);
     let mut cameras = Vec::new();
     for (file, kept) in METAS {
@@ -22,9 +21,8 @@ pub fn cut(root: &Path, to: &Path, frames: usize) -> Result<()> {
         let mut meta: Value = serde_json::from_str(&text)?;
         for key in ["k", "w2c", "fn", "cam_id"] {
             let rows = meta[key].as_array().context("no list")?.clone();
-            let frames = if file == "init_meta.json" { rows.len() } else { frames };
-            let rows = rows.iter().cycle().take(frames);
-            meta[key] = rows.map(|row| kept.iter().map(|&c| row[c].clone()).collect::<Value>()).collect();
+            let frames = rows.iter().take(FRAMES);
+            meta[key] = frames.map(|row| kept.iter().map(|&c| row[c].clone()).collect::<Value>()).collect();
         }
         for name in meta["fn"].as_array().into_iter().flatten().filter_map(|row| row.as_array()).flatten() {
             let name = name.as_str().context("no file name")?;
@@ -46,19 +44,7 @@ fn copy_tracks(sample: &Path, to: &Path, cameras: &[String]) -> Result<()> {
             copy(&file, &to.join(file.strip_prefix(sample)?))?;
         }
     }
-    let index = to.join("tracks/tracks.json");
-    let text = fs::read_to_string(&index)?.replace("{frame:06}", "{stem}");
-    fs::write(index, text).context("cannot write tracks.json")
-}
-
-/// Tracks from the sample's last frame to its first, which it does not have: those from the first to the second. They are wrong,
-/// which is no matter where only bytes are compared.
-pub fn close_circle(capture: &Path) -> Result<()> {
-    let second = |file: &PathBuf| file.file_stem().is_some_and(|stem| stem == "000001");
-    files(&capture.join("tracks"))?.iter().filter(|file| second(file)).try_for_each(|file| {
-        let ending = file.extension().unwrap_or_default().to_string_lossy().into_owned();
-        copy(file, &file.with_file_name(format!("000000.{ending}")))
-    })
+    Ok(())
 }
 
 /// Every file below a folder, in order.

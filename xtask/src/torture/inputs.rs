@@ -200,6 +200,7 @@ pub fn odd_settings(case: &mut Case) -> Result<()> {
     let named = file.display().to_string();
     let run =
         case.ffgs(&run_words(&case.laboratory.capture(), &out, &["--config", &named, "--frames", "0..2"]))?;
+    ensure!(run.status.success() || names_a_file(case, &said(&run)), "which file? {}", said(&run));
     finite_metrics(&run, &out)
 }
 

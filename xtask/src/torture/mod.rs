@@ -4,6 +4,7 @@
 
 mod capture;
 mod case;
+mod circling;
 #[path = "../../../fuzz/damage.rs"]
 mod damage;
 mod exports;
@@ -112,7 +113,7 @@ const KINDS: [Kind; 17] = [
     kind("stages", 20, 40, inputs::damaged_stage_input),
     kind(LONG, 0, 1, long::killed_a_hundred_times),
 ];
-/// The kind that takes an hour: only by its name.
+/// The kind that takes many minutes: only by its name.
 const LONG: &str = "long";
 /// Kinds that need the library between the program and the system.
 const INJECTED: [&str; 2] = ["calls", "io-errors"];
