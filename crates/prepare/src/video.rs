@@ -27,11 +27,14 @@ struct Stream {
     avg_frame_rate: String,
 }
 
+/// A video that is a playlist in truth cannot make ffmpeg fetch anything.
+const FILES_ONLY: [&str; 2] = ["-protocol_whitelist", "file"];
+
 /// Number and rate of the frames of a video.
 pub(crate) fn probe(file: &Path) -> Result<VideoFacts, PrepareError> {
     let mut command = Command::new("ffprobe");
     command.args(["-v", "error", "-select_streams", "v:0", "-count_packets", "-of", "json"]);
-    command.args(["-show_entries", "stream=nb_read_packets,avg_frame_rate"]).arg(file);
+    command.args(["-show_entries", "stream=nb_read_packets,avg_frame_rate"]).args(FILES_ONLY).arg(file);
     let output = command.stdin(Stdio::null()).output().map_err(|e| start_error(file, "ffprobe", e))?;
     let probe: Option<Probe> = serde_json::from_slice(&output.stdout).ok();
     let facts = probe.and_then(|p| facts(p.streams.first()?));
@@ -82,7 +85,7 @@ impl Frames {
         if let Some(seconds) = seek {
             command.args(["-ss", &format!("{seconds:.3}")]);
         }
-        command.arg("-i").arg(file);
+        command.args(FILES_ONLY).arg("-i").arg(file);
         if seek.is_some() {
             command.args(["-frames:v", "1"]);
         }
