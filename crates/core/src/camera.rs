@@ -12,6 +12,9 @@ pub struct ImageSize {
 }
 
 impl ImageSize {
+    /// Most pixels of an image: the largest sensors that are sold have 1.5e8.
+    pub const MAX_PIXELS: usize = 1 << 28;
+
     /// Number of pixels.
     pub fn pixels(self) -> usize {
         self.width * self.height
@@ -68,9 +71,9 @@ pub enum CameraError {
         /// The value.
         value: f64,
     },
-    /// The image has no pixels.
-    #[error("image size {width} x {height} is empty")]
-    EmptyImage {
+    /// The image has no pixels, or more than any image.
+    #[error("image size {width} x {height} is not of 1 to {} pixels", ImageSize::MAX_PIXELS)]
+    ImageSize {
         /// Columns.
         width: usize,
         /// Rows.
@@ -114,8 +117,9 @@ impl Camera {
         if !(fx > 0.0 && fy > 0.0) {
             return Err(CameraError::Focal { fx, fy });
         }
-        if size.pixels() == 0 {
-            return Err(CameraError::EmptyImage { width: size.width, height: size.height });
+        let ImageSize { width, height } = size;
+        if !width.checked_mul(height).is_some_and(|pixels| (1..=ImageSize::MAX_PIXELS).contains(&pixels)) {
+            return Err(CameraError::ImageSize { width, height });
         }
         let rotation = DMat3::from_mat4(camera_from_world);
         let gram = rotation * rotation.transpose() - DMat3::IDENTITY;
@@ -280,6 +284,16 @@ mod tests {
         for (fx, cx, x) in [(1e300, 0.0, 0.0), (1e-300, 0.0, 0.0), (500.0, -1e300, 0.0), (500.0, 0.0, 1e300)]
         {
             assert!(matches!(check(fx, cx, x), Err(CameraError::Implausible { .. })), "{fx} {cx} {x}");
+        }
+    }
+
+    #[test]
+    fn refuses_sizes_of_no_image() {
+        let intrinsics = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        let of = |width, height| Camera::new(intrinsics, DMat4::IDENTITY, ImageSize { width, height });
+        assert!(of(1, 1).is_ok() && of(1 << 14, 1 << 14).is_ok());
+        for (width, height) in [(0, 5), (5, 0), (1 << 14, 1 + (1 << 14)), (32, usize::MAX), (1 << 33, 1 << 33)] {
+            assert_eq!(of(width, height), Err(CameraError::ImageSize { width, height }));
         }
     }
 

@@ -8,8 +8,6 @@ use std::path::Path;
 
 /// A list of 500 cameras over 1000 frames takes a fifth of it.
 const MAX_META_BYTES: u64 = 1 << 29;
-/// Pixels of the largest image; the largest sensors that are sold have 1.5e8.
-const MAX_PIXELS: usize = 1 << 28;
 
 type Matrix<const N: usize> = [[Option<f64>; N]; N];
 
@@ -141,8 +139,9 @@ impl MetaFile {
         let sides = self.w.of(index).zip(self.h.of(index));
         let (width, height) =
             sides.ok_or_else(|| format!("w or h has no entry for camera '{}'", view.name))?;
-        if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
-            return Err(format!("images of {width} x {height} pixels are larger than {MAX_PIXELS} pixels"));
+        if width.checked_mul(height).is_none_or(|pixels| pixels > ImageSize::MAX_PIXELS) {
+            let most = ImageSize::MAX_PIXELS;
+            return Err(format!("images of {width} x {height} pixels are larger than {most} pixels"));
         }
         let size = ImageSize { width, height };
         let file_name = self.file_names[t][c].clone();

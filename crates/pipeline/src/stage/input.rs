@@ -4,9 +4,6 @@ use ffgs_core::{Camera, ImageSize, Intrinsics};
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use std::path::Path;
 
-/// More pixels than this in one image are a mistake in the input, not an image.
-const MAX_PIXELS: usize = 1 << 28;
-
 /// Any length of an axis, in the shapes that [`Input`] asks for.
 pub(super) const ANY: Option<usize> = None;
 
@@ -67,7 +64,9 @@ impl Input {
     pub fn image_size(&self, key: &str, height: i64, width: i64) -> Result<ImageSize> {
         let pixels = usize::try_from(height).ok().zip(usize::try_from(width).ok());
         match pixels {
-            Some((height, width)) if (1..=MAX_PIXELS).contains(&height.saturating_mul(width)) => {
+            Some((height, width))
+                if (1..=ImageSize::MAX_PIXELS).contains(&height.saturating_mul(width)) =>
+            {
                 Ok(ImageSize { width, height })
             }
             _ => bail!(self.fault(key, format!("{width} x {height} pixels is not an image size"))),
