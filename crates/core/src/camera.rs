@@ -292,7 +292,9 @@ mod tests {
         let intrinsics = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
         let of = |width, height| Camera::new(intrinsics, DMat4::IDENTITY, ImageSize { width, height });
         assert!(of(1, 1).is_ok() && of(1 << 14, 1 << 14).is_ok());
-        for (width, height) in [(0, 5), (5, 0), (1 << 14, 1 + (1 << 14)), (32, usize::MAX), (1 << 33, 1 << 33)] {
+        for (width, height) in
+            [(0, 5), (5, 0), (1 << 14, 1 + (1 << 14)), (32, usize::MAX), (1 << 33, 1 << 33)]
+        {
             assert_eq!(of(width, height), Err(CameraError::ImageSize { width, height }));
         }
     }

@@ -150,8 +150,14 @@ mod tests {
         let file = folder.path().join("settings.toml");
         let refused = || format!("{:#}", Config::read(&file).unwrap_err());
         assert!(refused().contains("settings.toml"), "missing: {}", refused());
-        let faults: [&[u8]; 6] =
-            [b"seed = ", b"sead = 1", b"seed = 'one'", b"[voronoi]\nk = inf", b"seed = -1", b"seed = 1 # \xff"];
+        let faults: [&[u8]; 6] = [
+            b"seed = ",
+            b"sead = 1",
+            b"seed = 'one'",
+            b"[voronoi]\nk = inf",
+            b"seed = -1",
+            b"seed = 1 # \xff",
+        ];
         for fault in faults {
             std::fs::write(&file, fault).unwrap();
             assert!(refused().contains("settings.toml"), "{}: {}", fault.escape_ascii(), refused());

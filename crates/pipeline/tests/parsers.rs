@@ -15,7 +15,9 @@ use std::path::{Path, PathBuf};
 const COPIES: u64 = 100;
 
 fn number(variable: &str) -> Option<u64> {
-    std::env::var(variable).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{variable} is no number")))
+    std::env::var(variable)
+        .ok()
+        .map(|text| text.parse().unwrap_or_else(|_| panic!("{variable} is no number")))
 }
 
 /// The small sound files of a parser.
@@ -37,7 +39,8 @@ fn no_parser_gives_up_on_damaged_bytes() {
         parse(&[]);
         for sound in corpus(name) {
             assert!(parse(&sound), "{name}: a sound file is refused");
-            let mut random = Random(seed ^ name.bytes().fold(0, |sum, byte| 31_u64.wrapping_mul(sum) + u64::from(byte)));
+            let mut random =
+                Random(seed ^ name.bytes().fold(0, |sum, byte| 31_u64.wrapping_mul(sum) + u64::from(byte)));
             for copy in 0..copies {
                 let mut bytes = sound.clone();
                 damage(&mut random, &mut bytes);

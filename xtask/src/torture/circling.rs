@@ -100,7 +100,8 @@ fn on_disc([x, y]: [f64; 2], turn: usize) -> Option<[f64; 2]> {
 fn pictures(camera: usize, turn: usize) -> [Vec<u8>; 2] {
     let seen = || places(camera, DISC_Z).map(|place| on_disc(place, turn));
     let image = seen().zip(places(camera, WALL_Z));
-    let image = image.flat_map(|(disc, wall)| disc.map_or_else(|| colour(wall, 2.0), |place| colour(place, 9.0)));
+    let image =
+        image.flat_map(|(disc, wall)| disc.map_or_else(|| colour(wall, 2.0), |place| colour(place, 9.0)));
     [image.collect(), seen().flat_map(|disc| [u8::from(disc.is_some()) * 255; 3]).collect()]
 }
 
@@ -134,7 +135,8 @@ fn points() -> Vec<[f64; 7]> {
 /// An RGB image as a PNG that does not compress.
 fn png(rgb: &[u8]) -> Vec<u8> {
     let [width, height] = SIZE;
-    let rows: Vec<u8> = rgb.chunks(3 * width).flat_map(|row| std::iter::once(&0).chain(row)).copied().collect();
+    let rows: Vec<u8> =
+        rgb.chunks(3 * width).flat_map(|row| std::iter::once(&0).chain(row)).copied().collect();
     let sum = rows.iter().fold([1_u32, 0], |[a, b], byte| {
         let a = (a + u32::from(*byte)) % 65521;
         [a, (b + a) % 65521]
@@ -156,7 +158,8 @@ fn png(rgb: &[u8]) -> Vec<u8> {
 fn npz(name: &str, rows: &[[f64; 7]]) -> Vec<u8> {
     let text = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}\n", rows.len());
     let values: Vec<u8> = rows.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-    let array = [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), &values].concat();
+    let array =
+        [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), &values].concat();
     let name = format!("{name}.npy");
     let [length, sum] = [array.len() as u32, crc32(&array)].map(u32::to_le_bytes);
     let entry = [&sum[..], &length, &length, &(name.len() as u16).to_le_bytes(), &[0; 2]].concat();

@@ -25,7 +25,10 @@ pub fn killed_at_calls(case: &mut Case) -> Result<()> {
     let calls = &case.laboratory.calls;
     let of = |name: &str| calls.get(name).copied().with_context(|| format!("no {name} was counted"));
     let (renames, syncs) = (of("rename")?, of("sync")?);
-    ensure!(syncs >= 2 * renames, "{renames} renames, {syncs} syncs: of each file and of its folder there is one");
+    ensure!(
+        syncs >= 2 * renames,
+        "{renames} renames, {syncs} syncs: of each file and of its folder there is one"
+    );
     let n = (case.seed * CALLS_A_ROUND as u64 + case.number) % (renames + syncs);
     let (call, at) = if n < renames { ("rename", n + 1) } else { ("sync", n - renames + 1) };
     let output = struck(case, Strike { call, at, errno: 0, lasting: false })?;

@@ -44,7 +44,8 @@ pub fn killed_a_hundred_times(case: &mut Case) -> Result<()> {
 fn kill_on_the_way(case: &mut Case, capture: &Path, out: &Path, frame_ms: usize) -> Result<()> {
     let mut command = case.started("", &run_words(capture, out, &["--resume"]));
     // Nobody reads: a pipe that is full would hold the program.
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().context("cannot start the program")?;
+    let mut child =
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().context("cannot start the program")?;
     let enough = finished(out) + case.below(FRAMES_A_START);
     let moment = Duration::from_millis(case.below(frame_ms.max(1)) as u64);
     let start = Instant::now();

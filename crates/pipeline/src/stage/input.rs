@@ -64,9 +64,7 @@ impl Input {
     pub fn image_size(&self, key: &str, height: i64, width: i64) -> Result<ImageSize> {
         let pixels = usize::try_from(height).ok().zip(usize::try_from(width).ok());
         match pixels {
-            Some((height, width))
-                if (1..=ImageSize::MAX_PIXELS).contains(&height.saturating_mul(width)) =>
-            {
+            Some((height, width)) if (1..=ImageSize::MAX_PIXELS).contains(&height.saturating_mul(width)) => {
                 Ok(ImageSize { width, height })
             }
             _ => bail!(self.fault(key, format!("{width} x {height} pixels is not an image size"))),
