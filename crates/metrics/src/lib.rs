@@ -1,10 +1,12 @@
-//! Image quality: PSNR, PSNR over a mask, SSIM (with gradients), and the 3DGS training loss.
+//! Image quality: PSNR, PSNR over a mask, SSIM (with gradients), flicker over time, and the 3DGS training loss.
 //!
 //! Sums run in a fixed order, so every value is bit-identical for any number of threads.
 
+mod flicker;
 mod psnr;
 mod ssim;
 
+pub use flicker::{Seen, flicker};
 pub use psnr::{MAX_PSNR, mpsnr, psnr};
 pub use ssim::{
     Border, LossAndGradient, SsimError, SsimPair, WINDOW, image_ssim, loss_3dgs, ssim, ssim_and_gradient,

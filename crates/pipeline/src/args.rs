@@ -207,12 +207,18 @@ pub struct RenderArgs {
 /// `ffgs eval`.
 #[derive(Clone, Debug, Args)]
 #[command(
-    long_about = "Renders the test views of a finished run again from its splats and recomputes PSNR, MPSNR and SSIM.",
-    after_help = "Example:\n  ffgs eval out/mini"
+    long_about = "Renders the test views of a finished run again from its splats and recomputes PSNR, MPSNR and SSIM. Over each \
+        test view's video, in time order, it finds the flicker and, where an ffmpeg with libvmaf is found, VMAF: the one that \
+        the environment variable FFGS_FFMPEG names, or that of the PATH.",
+    after_help = "Examples:\n  ffgs eval out/mini\n  ffgs eval out/mini --no-vmaf\n  \
+        FFGS_FFMPEG=$(python3 -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())') ffgs eval out/mini"
 )]
 pub struct EvalArgs {
     /// Output folder of the run
     pub run: PathBuf,
+    /// Leave VMAF out
+    #[arg(long)]
+    pub no_vmaf: bool,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
     #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     pub device: Device,

@@ -6,17 +6,20 @@ use crate::json::{read_json, write_json};
 use crate::lanes::Lanes;
 use crate::lock::FolderLock;
 use crate::publish::publish;
-use crate::record::{FrameRecord, Metrics, ViewMetrics};
+use crate::record::{FrameRecord, Mean, Metrics, ViewMetrics};
 use crate::scoring::{load_tests, score};
 use crate::terminal::{self, progress};
-use anyhow::{Result, bail};
+use crate::video::score_videos;
+use crate::vmaf::Vmaf;
+use anyhow::{Result, anyhow, bail};
 use ffgs_method::Split;
 use ffgs_report::FramePictures;
 
-/// Renders and measures the test views of every finished frame, and writes metrics and report again.
+/// Renders and measures the test views of every finished frame and the videos that they make, and writes metrics and report
+/// again.
 ///
 /// # Errors
-/// When the run or its capture cannot be read, or a result cannot be written.
+/// When the run or its capture cannot be read, a result cannot be written, or ffmpeg fails.
 pub fn eval(args: &EvalArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let (capture, folder) = (&*run.capture, &run.folder);
@@ -26,6 +29,7 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     let _lock = FolderLock::take(&args.run)?;
     let bar = progress(args.log.quiet, "frames", run.frames.len());
     let gpus = args.device.open()?;
+    let vmaf = if args.no_vmaf { Err(anyhow!("left out by --no-vmaf")) } else { Vmaf::find() };
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record = run.record(frame)?;
@@ -34,21 +38,26 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
         (record.views, pictures.views) = score(capture, &scene, &truths, &folder.frame(frame), Lanes(&gpus))?;
-        write_json(&folder.record(frame), &record)?;
         write_json(&file, &pictures)?;
         records.push(record);
         bar.inc(1);
     }
+    score_videos(&run, vmaf.as_ref().ok(), &mut records)?;
+    for record in &records {
+        write_json(&folder.record(record.frame), record)?;
+    }
     bar.finish_and_clear();
-    let table = table(&records);
-    publish(folder, &run.manifest, &Metrics::of(records))?;
-    terminal::print(table.trim_end());
+    let metrics = Metrics::of(records);
+    publish(folder, &run.manifest, &metrics)?;
+    let reason = vmaf.err().map(|reason| format!("no VMAF: {reason}\n")).unwrap_or_default();
+    terminal::print((table(&metrics.frames) + &costs(&metrics.mean) + &reason).trim_end());
     Ok(())
 }
 
 /// One row a frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
 fn table(records: &[FrameRecord]) -> String {
-    let mut text = format!("{:>10}  {:>8}  {:>8}  {:>7}\n", "frame", "PSNR", "MPSNR", "SSIM");
+    let titles = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker"].map(|title| format!("  {title:>8}")).concat();
+    let mut text = format!("{:>10}{titles}\n", "frame");
     for record in records {
         text += &row(&record.frame.to_string(), &record.views.iter().collect::<Vec<_>>());
     }
@@ -66,8 +75,28 @@ fn row(name: &str, views: &[&ViewMetrics]) -> String {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         if values.is_empty() { "-".to_owned() } else { format!("{mean:.digits$}") }
     };
-    let (psnr, mpsnr, ssim) = (mean(|v| Some(v.psnr), 2), mean(|v| v.mpsnr, 2), mean(|v| Some(v.ssim), 4));
-    format!("{name:>10}  {psnr:>8}  {mpsnr:>8}  {ssim:>7}\n")
+    let cells = [
+        mean(|v| Some(v.psnr), 2),
+        mean(|v| v.mpsnr, 2),
+        mean(|v| Some(v.ssim), 4),
+        mean(|v| v.vmaf, 2),
+        mean(|v| v.flicker, 3),
+    ];
+    format!("{name:>10}{}\n", cells.map(|cell| format!("  {cell:>8}")).concat())
+}
+
+/// What the frames >= 1 cost, and the paper's efficiencies.
+fn costs(mean: &Mean) -> String {
+    let text =
+        |value: Option<f64>, scale: f64| value.map_or("-".into(), |value| format!("{:.2}", value * scale));
+    format!(
+        "{} s per frame; PSNR / s (PE) {}, VMAF / s (VE) {}; {} MB per frame, {} with the first\n",
+        text(mean.seconds_per_frame, 1.0),
+        text(mean.psnr_per_second, 1.0),
+        text(mean.vmaf_per_second, 1.0),
+        text(mean.bytes_per_frame, 1e-6),
+        text(mean.bytes_per_frame_with_first, 1e-6),
+    )
 }
 
 #[cfg(test)]
@@ -77,11 +106,12 @@ mod tests {
     #[test]
     fn the_table_has_frames_and_means() {
         let view = |psnr, mpsnr| ViewMetrics { psnr, mpsnr, ssim: 0.5, ..ViewMetrics::default() };
+        let later = ViewMetrics { vmaf: Some(80.0), flicker: Some(1.5), ..view(30.0, Some(10.0)) };
         let of = |frame, views| FrameRecord { frame, views, ..FrameRecord::default() };
-        let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![view(30.0, Some(10.0))])]);
+        let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![later])]);
         let words: Vec<Vec<&str>> = text.lines().map(|l| l.split_whitespace().collect()).collect();
-        assert_eq!(words[1], ["0", "20.00", "-", "0.5000"]);
-        assert_eq!(words[3], ["mean", "25.00", "10.00", "0.5000"]);
-        assert_eq!(words[4], ["mean", ">=", "1", "30.00", "10.00", "0.5000"]);
+        assert_eq!(words[1], ["0", "20.00", "-", "0.5000", "-", "-"]);
+        assert_eq!(words[3], ["mean", "25.00", "10.00", "0.5000", "80.00", "1.500"]);
+        assert_eq!(words[4], ["mean", ">=", "1", "30.00", "10.00", "0.5000", "80.00", "1.500"]);
     }
 }

@@ -41,4 +41,6 @@ pub mod stage;
 mod start;
 pub mod state;
 pub mod terminal;
+mod video;
 pub mod view;
+mod vmaf;

@@ -46,6 +46,8 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
         psnr: Some(v.psnr),
         mpsnr: v.mpsnr,
         ssim: Some(v.ssim),
+        vmaf: v.vmaf,
+        flicker: v.flicker,
     };
     FrameReport {
         index: f.frame,

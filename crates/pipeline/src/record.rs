@@ -20,6 +20,13 @@ pub struct ViewMetrics {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: f64,
+    /// VMAF (0 to 100) in the view's video; absent until `ffgs eval` has found it.
+    #[serde(default)]
+    pub vmaf: Option<f64>,
+    /// Change of the error since the frame before (8-bit levels); absent in the first frame, and until `ffgs eval` has found
+    /// it.
+    #[serde(default)]
+    pub flicker: Option<f64>,
 }
 
 /// One finished frame.
@@ -78,15 +85,30 @@ pub struct Mean {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// VMAF (0 to 100).
+    #[serde(default)]
+    pub vmaf: Option<f64>,
+    /// Change of the error from frame to frame (8-bit levels).
+    #[serde(default)]
+    pub flicker: Option<f64>,
     /// PSNR over the foreground before finetuning, always over all test views (dB).
     #[serde(default)]
     pub initial_mpsnr: Option<f64>,
     /// Wall clock a frame (s).
     pub seconds_per_frame: Option<f64>,
+    /// PSNR / seconds per frame (dB/s), the paper's PE.
+    #[serde(default)]
+    pub psnr_per_second: Option<f64>,
+    /// VMAF / seconds per frame (1/s), the paper's VE.
+    #[serde(default)]
+    pub vmaf_per_second: Option<f64>,
     /// Gaussians of all layers.
     pub gaussians: Option<f64>,
-    /// Bytes of a frame's splat files.
+    /// Bytes of the files that reproduce a frame.
     pub bytes_per_frame: Option<f64>,
+    /// The same over all frames, the first with them.
+    #[serde(default)]
+    pub bytes_per_frame_with_first: Option<f64>,
 }
 
 /// `metrics.json`.
@@ -108,14 +130,22 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mean {
     let later: Vec<&FrameRecord> = frames.iter().filter(|f| f.frame > 0).collect();
     let views: Vec<&ViewMetrics> = later.iter().flat_map(|f| &f.views).filter(|v| keep(v)).collect();
+    let (psnr, vmaf) = (mean(views.iter().map(|v| v.psnr)), mean(views.iter().filter_map(|v| v.vmaf)));
+    let seconds = mean(later.iter().filter_map(|f| f.log.seconds.get("wall").copied()));
+    let per_second = |quality: Option<f64>| Some(quality? / seconds.filter(|seconds| *seconds > 0.0)?);
     Mean {
-        psnr: mean(views.iter().map(|v| v.psnr)),
+        psnr,
         mpsnr: mean(views.iter().filter_map(|v| v.mpsnr)),
         ssim: mean(views.iter().map(|v| v.ssim)),
+        vmaf,
+        flicker: mean(views.iter().filter_map(|v| v.flicker)),
         initial_mpsnr: mean(later.iter().filter_map(|f| f.initial_mpsnr)),
-        seconds_per_frame: mean(later.iter().filter_map(|f| f.log.seconds.get("wall").copied())),
+        seconds_per_frame: seconds,
+        psnr_per_second: per_second(psnr),
+        vmaf_per_second: per_second(vmaf),
         gaussians: mean(later.iter().map(|f| (f.static_gaussians + f.dynamic_gaussians) as f64)),
         bytes_per_frame: mean(later.iter().map(|f| f.bytes as f64)),
+        bytes_per_frame_with_first: mean(frames.iter().map(|f| f.bytes as f64)),
     }
 }
 
@@ -144,6 +174,24 @@ mod tests {
     use super::*;
     use crate::json::write_json;
     use std::path::Path;
+
+    #[test]
+    fn efficiencies_are_quality_by_seconds_and_bytes_are_told_with_and_without_the_first_frame() {
+        let frame = |frame, psnr, vmaf, bytes, wall| {
+            let views = vec![ViewMetrics { psnr, vmaf, ..ViewMetrics::default() }];
+            let mut record = FrameRecord { frame, views, bytes, ..FrameRecord::default() };
+            record.log.seconds.insert("wall".into(), wall);
+            record
+        };
+        let first = frame(0, 99.0, Some(99.0), 9000, 50.0);
+        let of = |frames: &[&FrameRecord]| Metrics::of(frames.iter().map(|f| (*f).clone()).collect()).mean;
+        let mean = of(&[&first, &frame(1, 20.0, Some(40.0), 1000, 3.0), &frame(2, 30.0, None, 2000, 5.0)]);
+        assert_eq!((mean.psnr, mean.vmaf, mean.seconds_per_frame), (Some(25.0), Some(40.0), Some(4.0)));
+        assert_eq!((mean.psnr_per_second, mean.vmaf_per_second), (Some(6.25), Some(10.0)));
+        assert_eq!((mean.bytes_per_frame, mean.bytes_per_frame_with_first), (Some(1500.0), Some(4000.0)));
+        let timeless = of(&[&first, &frame(1, 20.0, None, 1, 0.0)]);
+        assert_eq!((timeless.psnr_per_second, timeless.vmaf_per_second), (None, None));
+    }
 
     #[test]
     fn a_record_of_another_frame_or_of_names_that_leave_the_folder_is_refused() {

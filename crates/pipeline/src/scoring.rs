@@ -78,6 +78,8 @@ pub(crate) fn score(
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
             ssim: image_ssim(&rendered, &truth.image)?,
+            vmaf: None,
+            flicker: None,
         };
         let pictures = thumbnails.view(&truth.image, &picture)?.context("a render has its camera's size")?;
         Ok((metrics, pictures))

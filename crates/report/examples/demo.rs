@@ -116,6 +116,7 @@ fn view(name: &str, i: usize) -> ViewReport {
         psnr: Some(27.4 - drop + 0.3 * (i as f64).sin()),
         mpsnr: (i != 5).then_some(21.3 - drop),
         ssim: Some(0.91 - 0.01 * drop),
+        ..ViewReport::default()
     }
 }
 

@@ -95,4 +95,8 @@ pub struct ViewReport {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// VMAF (0 to 100) in the view's video.
+    pub vmaf: Option<f64>,
+    /// Change of the error since the frame before (8-bit levels).
+    pub flicker: Option<f64>,
 }

@@ -77,6 +77,9 @@ fn embed(frame: &FrameReport, out: &mut impl Write) -> Result<(), ReportError> {
     Ok(writeln!(out, "<script type=\"application/json\" id=\"pictures-{}\">{text}</script>", frame.index)?)
 }
 
+/// Metrics that every run has; the others, of videos, come with `ffgs eval`.
+const STILL_METRICS: usize = 3;
+
 type Metric = fn(&ViewReport) -> Option<f64>;
 
 fn mean_of(frame: &FrameReport, metric: Metric) -> Option<f64> {
@@ -93,22 +96,44 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     let metric = |m: Metric| mean(&later.iter().flat_map(|f| &f.views).filter_map(m).collect::<Vec<_>>());
     let gaussians = over(&|f| Some((f.static_gaussians + f.dynamic_gaussians) as f64 / 1000.0));
     let megabytes = over(&|f| Some(f.bytes as f64 / 1e6));
+    let seconds = over(&|f| f.seconds.get("wall").copied()).filter(|seconds| *seconds > 0.0);
+    let (psnr, vmaf) = (metric(|v| v.psnr), metric(|v| v.vmaf));
+    let per_second = |quality: Option<f64>| Some(quality? / seconds?);
     let values = [
-        ("PSNR", text(metric(|v| v.psnr), 2), "dB"),
+        ("PSNR", text(psnr, 2), "dB"),
         ("MPSNR (foreground)", text(metric(|v| v.mpsnr), 2), "dB"),
         ("SSIM", text(metric(|v| v.ssim), 4), ""),
         ("Time per frame", text(over(&|f| f.seconds.get("wall").copied()), 2), "s"),
+        ("PSNR per second (PE)", text(per_second(psnr), 2), "dB/s"),
         ("Gaussians", text(gaussians, 1), "thousand"),
         ("On disk per frame", text(megabytes, 2), "MB"),
     ];
-    values.map(|(label, value, unit)| Headline { label, value, unit }).into()
+    // Only after `ffgs eval`.
+    let of_video = [
+        ("VMAF", vmaf, 2, ""),
+        ("VMAF per second (VE)", per_second(vmaf), 2, "1/s"),
+        ("Flicker", metric(|v| v.flicker), 3, "levels"),
+    ];
+    let of_video = of_video.into_iter().filter(|(_, value, ..)| value.is_some());
+    let of_video = of_video.map(|(label, value, decimals, unit)| (label, text(value, decimals), unit));
+    let all = values.into_iter().chain(of_video);
+    all.map(|(label, value, unit)| Headline { label, value, unit }).collect()
 }
 
 fn plots(frames: &[FrameReport]) -> Vec<String> {
-    let metrics: [(&str, Metric); 3] =
-        [("PSNR (dB)", |v| v.psnr), ("MPSNR (dB)", |v| v.mpsnr), ("SSIM", |v| v.ssim)];
+    let metrics: [(&str, Metric); 5] = [
+        ("PSNR (dB)", |v| v.psnr),
+        ("MPSNR (dB)", |v| v.mpsnr),
+        ("SSIM", |v| v.ssim),
+        ("VMAF", |v| v.vmaf),
+        ("flicker (levels)", |v| v.flicker),
+    ];
+    let of_video = |metric: Metric| frames.iter().flat_map(|f| &f.views).any(|view| metric(view).is_some());
     let mut out: Vec<String> = metrics
         .into_iter()
+        .enumerate()
+        .filter(|(place, (_, metric))| *place < STILL_METRICS || of_video(*metric))
+        .map(|(_, metric)| metric)
         .map(|(label, metric)| over_frames(label, &metric_series(frames, metric)))
         .collect();
     let count = |name: &str, of: fn(&FrameReport) -> usize| {

@@ -108,3 +108,26 @@ fn motion_to_the_right_is_the_wheels_right_colour() {
     let known = [DMat3::IDENTITY, DMat3::ZERO];
     assert!(uncertainty_picture(&camera, &[prev, now], &known, &background).unwrap() != empty, "a dot");
 }
+
+#[test]
+fn what_only_a_video_shows_is_there_once_it_was_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let mut input = run(folder.path());
+    let written = |input: &ReportInput| {
+        write_report(&path, input).unwrap();
+        fs::read_to_string(&path).unwrap()
+    };
+    let names = ["<small>VMAF</small>", "VMAF per second (VE)", "Flicker", "flicker (levels)"];
+    let before = written(&input);
+    assert!(names.iter().all(|name| !before.contains(name)), "nothing was measured");
+    for frame in &mut input.frames {
+        frame.seconds.insert("wall".into(), 4.0);
+        frame.views[0].vmaf = Some(50.0);
+        frame.views[0].flicker = Some(1.25);
+    }
+    let after = written(&input);
+    let missing: Vec<_> = names.iter().filter(|name| !after.contains(*name)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+    assert!(after.contains("12.50") && after.contains("1.250") && after.contains("5.00"), "VE, flicker, PE");
+}
