@@ -1,6 +1,6 @@
 //! Builds the programs in release and starts them.
 
-use crate::workspace;
+use crate::{vmaf, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, ExitStatus};
@@ -30,7 +30,7 @@ const LAB: Program =
 pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
     let plan = RunPlan::new(args, &shown(root));
     let program = build(root)?;
-    let status = start(&program, &plan.words())?;
+    let status = start(root, &program, &plan.words())?;
     let report = plan.out.join("report.html");
     if status.success() && report.is_file() {
         println!("report: {}", report.display());
@@ -44,7 +44,7 @@ pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
     let Some(program) = [FFGS, LAB].into_iter().find(|program| program.commands.contains(&name)) else {
         bail!("no command `{name}`; `cargo xtask --help` lists them");
     };
-    Ok(workspace::exit_code(start(&program.build(root, "release")?, args)?))
+    Ok(workspace::exit_code(start(root, &program.build(root, "release")?, args)?))
 }
 
 /// Builds the release binary of `ffgs` and returns its path.
@@ -87,8 +87,12 @@ impl Program {
     }
 }
 
-fn start(program: &Path, args: &[String]) -> Result<ExitStatus> {
-    Command::new(program).args(args).status().with_context(|| format!("cannot start {}", program.display()))
+/// Starts a program, which is told of the ffmpeg that `cargo xtask setup` has installed unless another one is named.
+fn start(root: &Path, program: &Path, args: &[String]) -> Result<ExitStatus> {
+    let mut command = Command::new(program);
+    let ffmpeg = vmaf::installed(root).filter(|_| std::env::var_os(vmaf::VARIABLE).is_none());
+    command.args(args).envs(ffmpeg.map(|ffmpeg| (vmaf::VARIABLE, ffmpeg)));
+    command.status().with_context(|| format!("cannot start {}", program.display()))
 }
 
 /// The root as a person in the current folder would write it: empty when they are in it.

@@ -12,6 +12,7 @@ mod supply;
 mod tidy;
 #[cfg(unix)]
 mod torture;
+mod vmaf;
 mod workspace;
 
 use anyhow::Result;
@@ -162,6 +163,9 @@ fn run(command: Command) -> Result<ExitCode> {
             setup::run_for_tests()?;
             if let Err(reason) = players::install(&root) {
                 println!("ffgs view and --to site will not work: {reason:#}");
+            }
+            if let Err(reason) = vmaf::install(&root) {
+                println!("ffgs eval will find no VMAF: {reason:#}");
             }
         }
         Command::Tidy => {
