@@ -4,6 +4,7 @@ use crate::config_ranges;
 use anyhow::{Context, Result, ensure};
 use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
+use ffgs_methods::MethodSettings;
 use ffgs_motion::{AssociationConfig, MarkingConfig, MotionConfig};
 use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
@@ -42,6 +43,8 @@ pub struct Config {
     pub dynamic: DynamicLaneConfig,
     /// Finetuning of the static layer and the sky.
     pub background: BackgroundConfig,
+    /// The methods that train in their own way, a table each.
+    pub method: MethodSettings,
 }
 
 impl Default for Config {
@@ -59,6 +62,7 @@ impl Default for Config {
             densification: DensifyConfig::default(),
             dynamic: DynamicLaneConfig::default(),
             background: BackgroundConfig::default(),
+            method: MethodSettings::default(),
         }
     }
 }

@@ -3,6 +3,7 @@
 use crate::method::{Method, Parts};
 use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
+use ffgs_methods::{Dynamic3dgs, Hicom, Recongs};
 use ffgs_motion::{Standstill, TrackerMotion};
 
 /// The paper's method with all trackers.
@@ -28,6 +29,40 @@ pub const NONE: Method = Method {
     summary: "where the last frame ended: training alone follows what moves",
     build: |_, _| Ok(Box::new(Standstill)),
 };
+
+/// HiCoM.
+pub const HICOM: Method = Method {
+    usage: "hicom",
+    former: None,
+    summary: "grids of cubes that move all Gaussians, then Gaussians added (HiCoM, 2024)",
+    build: |parts, _| Ok(trained_here(parts, Hicom::new(parts.config.method.hicom))),
+};
+
+/// Dynamic 3D Gaussians.
+pub const DYNAMIC3DGS: Method = Method {
+    usage: "dynamic3dgs",
+    former: None,
+    summary: "the last velocities, then training with rigid neighbours (Dynamic 3D Gaussians, 2024)",
+    build: |parts, _| Ok(trained_here(parts, Dynamic3dgs::new(parts.config.method.dynamic3dgs))),
+};
+
+/// ReCon-GS.
+pub const RECONGS: Method = Method {
+    usage: "recongs",
+    former: None,
+    summary: "anchors that move all Gaussians, then Gaussians added (ReCon-GS, 2025)",
+    build: |parts, _| Ok(trained_here(parts, Recongs::new(parts.config.method.recongs))),
+};
+
+/// A method that trains every Gaussian in its own way, on the CPU.
+fn trained_here<'a>(parts: &Parts, method: impl MotionMethod + 'a) -> Box<dyn MotionMethod + 'a> {
+    if parts.gpu.is_some() {
+        tracing::info!(
+            "this method trains on the CPU; the first frame and the scores are computed on the GPU"
+        );
+    }
+    Box::new(method)
+}
 
 fn moved_by<'a>(parts: &Parts<'a>, only: Option<String>) -> Box<dyn MotionMethod + 'a> {
     Box::new(TrackerMotion { config: parts.config.motion(), only, gpu: parts.gpu })

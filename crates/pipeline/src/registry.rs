@@ -24,8 +24,17 @@ pub const CAPTURES: Registry<dyn CaptureFormat> = Registry {
 };
 
 /// How the scene moves from frame to frame; the first is the default.
-pub const METHODS: Registry<Method> =
-    Registry { kind: "method", items: &[&methods::TRACKERS, &methods::TRACKER, &methods::NONE] };
+pub const METHODS: Registry<Method> = Registry {
+    kind: "method",
+    items: &[
+        &methods::TRACKERS,
+        &methods::TRACKER,
+        &methods::NONE,
+        &methods::DYNAMIC3DGS,
+        &methods::HICOM,
+        &methods::RECONGS,
+    ],
+};
 
 /// The splat format in which a run writes its frames: the first.
 pub(crate) fn run_format() -> &'static dyn SplatWriter {

@@ -19,7 +19,7 @@ use crate::record::{FrameRecord, Metrics};
 use crate::registry::{self, open_capture};
 use crate::request::RunRequest;
 use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
-use crate::start::{camera_extent, start};
+use crate::start::start;
 use crate::state;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{
@@ -33,7 +33,9 @@ use ffgs_method::{
 use ffgs_motion::pixel_sizes;
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, FirstFrameConfig, Photographed, Prior, StaticLane, Surroundings, shows_sky};
+use ffgs_trainer::{
+    FirstFrame, FirstFrameConfig, Photographed, Prior, StaticLane, Surroundings, camera_extent, shows_sky,
+};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;

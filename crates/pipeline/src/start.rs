@@ -19,13 +19,6 @@ pub(crate) fn start(
     Ok(FirstFrame { gaussians, sky: SkyCube::filled(config.sky_face_size, mean_colour(views)) })
 }
 
-/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
-pub(crate) fn camera_extent(views: &[TrainingView]) -> f32 {
-    let centers = || views.iter().map(|v| v.camera.center());
-    let mean = centers().sum::<glam::DVec3>() / views.len().max(1) as f64;
-    1.1 * centers().map(|c| (c - mean).length()).fold(0.0, f64::max) as f32
-}
-
 /// Mean colour of the top rows, where outdoor views show the sky.
 fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
     let mut sum = [0.0_f64; 3];

@@ -345,13 +345,29 @@ impl AdamVec {
     /// Zero moments for `items` items of `width` values.
     pub fn new(items: usize, width: usize) -> Self {
         let moments = vec![0.0; items * width];
-        Self {
-            first: moments.clone(),
-            second: moments,
-            steps: vec![0; items],
-            corrections: corrections(),
-            rates: vec![0.0; width],
-        }
+        Self::resumed([moments.clone(), moments], vec![0; items], width)
+    }
+
+    /// With the moments of another, each (items * width), and the steps that every item has taken.
+    ///
+    /// # Panics
+    /// When the lengths are not those of items of `width` values.
+    pub fn resumed([first, second]: [Vec<f32>; 2], steps: Vec<u32>, width: usize) -> Self {
+        assert!(
+            [&first, &second].iter().all(|m| m.len() == steps.len() * width),
+            "moments of {width} values"
+        );
+        Self { first, second, steps, corrections: corrections(), rates: vec![0.0; width] }
+    }
+
+    /// First and second moments, each (items * width).
+    pub fn moments(&self) -> [&[f32]; 2] {
+        [&self.first, &self.second]
+    }
+
+    /// Steps taken by each item.
+    pub fn steps(&self) -> &[u32] {
+        &self.steps
     }
 
     /// One step of `parameters` down `gradient`, both (items * width). A derivative that is small against `epsilon` moves

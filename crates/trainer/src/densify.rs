@@ -70,7 +70,8 @@ impl GradientSums {
         }
     }
 
-    fn mean(&self, i: usize) -> f32 {
+    /// Mean of the norms over the views that drew Gaussian `i`; 0 when none did.
+    pub fn mean(&self, i: usize) -> f32 {
         if self.views[i] == 0 { 0.0 } else { self.norms[i] / self.views[i] as f32 }
     }
 }
@@ -188,20 +189,20 @@ impl DensityControl {
     /// Turns a copy of the parent into a child: a sample of the parent's density, scale divided by 1.6.
     fn make_child(&mut self, gaussians: &mut Gaussians, i: usize) {
         let scale = Vec3::from(gaussians.log_scales[i]).exp();
-        let offset = scale * Vec3::from_array(std::array::from_fn(|_| self.normal()));
+        let offset = scale * Vec3::from_array(std::array::from_fn(|_| normal(&mut self.rng)));
         let [w, x, y, z] = gaussians.quats[i];
         let rotation = Quat::from_xyzw(x, y, z, w);
         let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { Quat::IDENTITY };
         gaussians.means[i] = (Vec3::from(gaussians.means[i]) + rotation * offset).to_array();
         gaussians.log_scales[i] = gaussians.log_scales[i].map(|s| s - CHILD_SHRINK.ln());
     }
+}
 
-    /// A standard normal sample (Box-Muller).
-    fn normal(&mut self) -> f32 {
-        let (radius, angle): (f32, f32) = (self.rng.random(), self.rng.random());
-        // 1 - u lies in (0, 1], so that the logarithm is finite.
-        (-2.0 * (1.0 - radius).ln()).sqrt() * (std::f32::consts::TAU * angle).cos()
-    }
+/// A standard normal sample (Box-Muller).
+pub fn normal(rng: &mut impl Rng) -> f32 {
+    let (radius, angle): (f32, f32) = (rng.random(), rng.random());
+    // 1 - u lies in (0, 1], so that the logarithm is finite.
+    (-2.0 * (1.0 - radius).ln()).sqrt() * (std::f32::consts::TAU * angle).cos()
 }
 
 fn largest_scale(gaussians: &Gaussians, i: usize) -> f32 {

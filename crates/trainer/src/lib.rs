@@ -26,7 +26,9 @@ pub use backend::{
 };
 pub use background::{BackgroundConfig, StaticMethod};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
-pub use densify::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, reset_opacities};
+pub use densify::{
+    DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal, reset_opacities,
+};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use gain::{Gain, PixelNoise, information_gain};
@@ -37,4 +39,4 @@ pub use schedule::{Epochs, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::{Photographed, StaticLane};
-pub use view::Progress;
+pub use view::{Progress, camera_extent};

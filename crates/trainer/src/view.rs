@@ -1,4 +1,14 @@
-//! How far a training loop has come.
+//! What a training loop knows of its views, and how far it has come.
+
+use ffgs_core::TrainingView;
+use glam::DVec3;
+
+/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
+pub fn camera_extent(views: &[TrainingView]) -> f32 {
+    let centers = || views.iter().map(|v| v.camera.center());
+    let mean = centers().sum::<DVec3>() / views.len().max(1) as f64;
+    1.1 * centers().map(|c| (c - mean).length()).fold(0.0, f64::max) as f32
+}
 
 /// What a training loop reports after a step.
 #[derive(Clone, Copy, Debug)]

@@ -1,0 +1,37 @@
+//! Methods of others behind the contract, for comparison on one rasterizer: a file or folder each.
+//!
+//! Written from the papers and from facts in the official code (losses, rates, schedules, structures). Each file says in its head
+//! where it deviates. All train every Gaussian by whole photographs, from the same first frame (docs/adr/0036).
+
+mod added;
+mod deformation;
+mod dynamic3dgs;
+mod hicom;
+mod nearest;
+mod one_layer;
+mod photographs;
+mod recongs;
+mod saved;
+mod two_stages;
+#[cfg(test)]
+mod world;
+
+pub use added::AddedConfig;
+pub use deformation::MotionFitConfig;
+pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig};
+pub use hicom::{Hicom, HicomConfig};
+pub use recongs::{Recongs, RecongsConfig};
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of these methods, a table each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MethodSettings {
+    /// Dynamic 3D Gaussians.
+    pub dynamic3dgs: Dynamic3dgsConfig,
+    /// HiCoM.
+    pub hicom: HicomConfig,
+    /// ReCon-GS.
+    pub recongs: RecongsConfig,
+}
