@@ -173,7 +173,7 @@ mod tests {
         let mut one = Gaussians::zeros(1, 0);
         (one.means[0], one.quats[0]) = ([1.0, 2.0, 3.0], [0.5; 4]);
         one.log_scales[0] = [0.1_f32, 0.2, 0.3].map(f32::ln);
-        let made = copies(&one, &[0; COUNT], 3);
+        let made = copies(&one, &vec![0; COUNT], 3);
         assert!(made.quats.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
         assert!(made.opacity_logits.iter().all(|o| *o == 0.1));
         for a in 0..3 {

@@ -18,7 +18,7 @@ pub(crate) fn nearest(places: &[[f32; 3]], among: &[[f32; 3]], count: usize) -> 
         .map_err(|error| anyhow!("a position is no number: {error:?}"))?;
     let of = |place: &[f32; 3]| {
         let found = tree.query(&wide(place)).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        let mut found: Vec<(f64, u32)> = found.iter().map(|n| (n.distance, n.item as u32)).collect();
+        let mut found: Vec<(f64, u32)> = found.iter().map(|n| (n.distance, n.item)).collect();
         found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         found
     };

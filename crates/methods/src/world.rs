@@ -110,7 +110,8 @@ impl World {
     pub fn with_step<T>(&self, frame: usize, work: impl FnOnce(&Step) -> T) -> T {
         // Methods that look at photographs alone ask nothing of the capture.
         let capture = conformance::World::new(1, DVec3::ZERO);
-        let (before, now, views) = (self.views(frame - 1), self.views(frame), Vec::from_iter(0..VIEWS));
+        let (before, now) = (self.views(frame - 1), self.views(frame));
+        let views: Vec<usize> = (0..VIEWS).collect();
         let tracks = &[];
         work(&Step { frame, seed: 1, capture: &capture, views: &views, before: &before, now: &now, tracks })
     }

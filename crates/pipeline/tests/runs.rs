@@ -118,3 +118,44 @@ fn motion_may_be_left_out_or_come_from_one_tracker() {
     let error = format!("{:#}", run_with("unknown", "tracker:points").unwrap_err());
     assert!(error.contains("points_raft") && error.contains("dense_gmflow"), "{error}");
 }
+
+/// Every method that trains in its own way: few steps, one layer, and a resumed run with the bytes of one that never stopped.
+#[test]
+fn other_methods_train_one_layer_and_resume() {
+    let folder = TempDir::new().unwrap();
+    let out = |name: String| folder.path().join(name);
+    let first_frame = out("first".to_owned());
+    run(&RunRequest { frames: Some(first(1)), ..request(&first_frame, 0) }).unwrap();
+    for name in ["dynamic3dgs", "hicom", "recongs"] {
+        let request = |part: &str, end: usize, resume: bool| {
+            let mut request = request(&out(format!("{name} {part}")), 0);
+            let method = &mut request.config.method;
+            method.dynamic3dgs.iterations = 2;
+            for (motion, added) in [
+                (&mut method.hicom.motion, &mut method.hicom.added),
+                (&mut method.recongs.motion, &mut method.recongs.added),
+            ] {
+                (motion.iterations, added.iterations, added.densify_every) = (2, 3, 2);
+            }
+            let first_frame = Some(first_frame.clone());
+            RunRequest {
+                method: name.parse().unwrap(),
+                frames: Some(first(end)),
+                resume,
+                first_frame,
+                ..request
+            }
+        };
+        let all = [request("whole", 3, false), request("cut", 2, false), request("cut", 3, true)];
+        all.iter().for_each(|request| drop(run(request).unwrap()));
+        let [whole, cut] = [&all[0].out, &all[2].out].map(|out| RunFolder(out.clone()));
+        for file in ["state.ffgs", "method.state", "dynamic.ply"] {
+            let bytes = |run: &RunFolder| fs::read(run.frame(2).join(file)).unwrap();
+            assert!(bytes(&whole) == bytes(&cut), "{name}: {file}");
+        }
+        let start = state::load(&RunFolder(first_frame.clone()).state(0), 0).unwrap();
+        let scene = state::load(&whole.state(2), 2).unwrap();
+        assert!(scene.static_layer.is_empty() && scene.sky.texels == start.sky.texels, "{name}");
+        assert_ne!(scene.dynamic.gaussians, start.joint(), "{name}");
+    }
+}

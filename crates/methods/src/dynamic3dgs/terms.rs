@@ -141,7 +141,7 @@ mod tests {
         let mut turns = vec![[0.0; 4]; COUNT];
         waves(turns.as_flattened_mut(), 1.9);
         turns.iter_mut().for_each(|turn| turn[0] += 1.5);
-        let mut moved = vec![[0.0; 3]; COUNT];
+        let mut moved = [[0.0; 3]; COUNT];
         waves(moved.as_flattened_mut(), 3.1);
         places.as_flattened_mut().iter_mut().zip(moved.as_flattened()).for_each(|(p, m)| *p += 0.3 * m);
         (neighbours, before, places, turns)
