@@ -21,12 +21,12 @@ enum Channel {
     XX,
     XY,
     YY,
-    DX,
-    DY,
-    XDX,
-    YDX,
-    XDY,
-    YDY,
+    Dx,
+    Dy,
+    XDx,
+    YDx,
+    XDy,
+    YDy,
     Still,
 }
 /// Of them.
@@ -101,7 +101,7 @@ fn regress(sums: &[f64; CHANNELS], hits: u32, centre: DVec2) -> Footprint {
     }
     let mean = |channel| of(channel) / weight;
     let (place, moved) =
-        (DVec2::new(mean(Channel::X), mean(Channel::Y)), DVec2::new(mean(Channel::DX), mean(Channel::DY)));
+        (DVec2::new(mean(Channel::X), mean(Channel::Y)), DVec2::new(mean(Channel::Dx), mean(Channel::Dy)));
     let skew = mean(Channel::XY) - place.x * place.y;
     let spread = DMat2::from_cols(
         DVec2::new(mean(Channel::XX) - place.x * place.x, skew),
@@ -110,8 +110,8 @@ fn regress(sums: &[f64; CHANNELS], hits: u32, centre: DVec2) -> Footprint {
     let with = |c: Channel, d: Channel, at: f64| DVec2::new(mean(c), mean(d)) - moved * at;
     // Columns: how the displacement goes with x and with y.
     let joint = DMat2::from_cols(
-        with(Channel::XDX, Channel::XDY, place.x),
-        with(Channel::YDX, Channel::YDY, place.y),
+        with(Channel::XDx, Channel::XDy, place.x),
+        with(Channel::YDx, Channel::YDy, place.y),
     );
     let determinant = weight.powi(3) * spread.determinant();
     let affine = (hits > 1 && determinant > MIN_DETERMINANT).then(|| {

@@ -45,7 +45,7 @@ pub(super) fn spread(edges: &Neighbours, values: &[Option<(DVec3, f64)>]) -> Vec
             });
             let (mut sum, mut weight, mut count) = (DVec3::ZERO, 0.0, 0.0);
             from.for_each(|(value, own)| {
-                (sum, weight, count) = (sum + own * value, weight + own, count + 1.0)
+                (sum, weight, count) = (sum + own * value, weight + own, count + 1.0);
             });
             (weight > 0.0).then(|| (sum / weight, weight / count))
         };
@@ -83,8 +83,8 @@ mod tests {
         Neighbours::new(&means, 2, weights).unwrap()
     }
 
-    fn value(x: f64) -> Option<(DVec3, f64)> {
-        Some((DVec3::new(x, 0.0, 0.0), 1.0))
+    fn value(x: f64) -> (DVec3, f64) {
+        (DVec3::new(x, 0.0, 0.0), 1.0)
     }
 
     #[test]
@@ -96,19 +96,23 @@ mod tests {
 
     #[test]
     fn an_outlier_takes_the_median_and_what_nobody_solved_stays_unsolved() {
-        let found = median(&row(), &[value(1.0), value(1.0), value(50.0), value(1.5), None]);
+        let found =
+            median(&row(), &[Some(value(1.0)), Some(value(1.0)), Some(value(50.0)), Some(value(1.5)), None]);
         let places: Vec<Option<f64>> = found.iter().map(|v| v.map(|(v, _)| v.x)).collect();
         assert_eq!(places, [Some(50.0), Some(50.0), Some(1.5), Some(50.0), None]);
-        let alone = median(&row(), &[None, None, value(2.0), None, None]);
-        assert_eq!(alone[2], value(2.0));
+        let alone = median(&row(), &[None, None, Some(value(2.0)), None, None]);
+        assert_eq!(alone[2], Some(value(2.0)));
     }
 
     #[test]
     fn values_spread_to_the_ends_and_nothing_comes_from_nothing() {
-        let found = spread(&row(), &[value(2.0), None, None, None, None]);
+        let found = spread(&row(), &[Some(value(2.0)), None, None, None, None]);
         assert!(found.iter().take(3).all(|v| (v.x - 2.0).abs() < 1e-12), "{found:?}");
         assert_eq!(spread(&row(), &[None; 5]), [DVec3::ZERO; 5]);
-        let kept = spread(&row(), &[value(1.0), value(2.0), value(3.0), value(4.0), value(5.0)]);
+        let kept = spread(
+            &row(),
+            &[Some(value(1.0)), Some(value(2.0)), Some(value(3.0)), Some(value(4.0)), Some(value(5.0))],
+        );
         assert_eq!(kept[4].x, 5.0);
     }
 
