@@ -53,6 +53,14 @@ pub enum PrepareError {
 }
 
 impl PrepareError {
+    /// The same, with the folder of the footage where it is about all of it.
+    pub(crate) fn of(self, source: &Path) -> Self {
+        match self {
+            Self::Footage(reason) => Self::Footage(format!("{}: {reason}", source.display())),
+            other => other,
+        }
+    }
+
     pub(crate) fn io(file: &Path, source: io::Error) -> Self {
         Self::Io { file: file.to_owned(), source }
     }

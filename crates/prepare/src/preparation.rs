@@ -23,6 +23,10 @@ pub struct Summary {
 /// # Errors
 /// When the footage, its calibration or a picture cannot be used; nothing half-written is left under a final name.
 pub fn prepare(request: &Request, progress: &dyn Progress) -> Result<Summary, PrepareError> {
+    prepared(request, progress).map_err(|error| error.of(&request.source))
+}
+
+fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, PrepareError> {
     let mut journal = Journal::open(request)?;
     clear_forced(request)?;
     let (format, calibration) = detect(&request.source, request.format.as_deref())?;

@@ -169,6 +169,9 @@ fn a_capture_written_for_other_tools_is_read_as_the_same_cameras() {
 fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
     let folder = footage(0, 3);
     let request = Request { only: vec![Step::Pictures], ..request(&folder) };
+    let short = error(&Request { count: Some(9), ..request.clone() });
+    let source = folder.path().display().to_string();
+    assert!(short.starts_with(&source) && short.contains("9 frames were asked for"), "{short}");
     fs::write(folder.path().join("cam_2/2.png"), b"not a picture").unwrap();
     let damaged = error(&request);
     assert!(damaged.contains("cam_2") && damaged.contains("2.png"), "{damaged}");
