@@ -32,6 +32,8 @@ pub struct Laboratory {
     pub root: PathBuf,
     /// Calls to the system of the undisturbed run; none where the library is not to be had.
     pub calls: Told,
+    /// Most memory that the undisturbed run held (KiB); 0 where it is not known.
+    pub peak: u64,
     interposer: Result<Interposer>,
     program: PathBuf,
     folder: TempDir,
@@ -43,13 +45,14 @@ impl Laboratory {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let interposer = Interposer::build(folder.path());
         let (root, calls) = (root.to_owned(), Told::new());
-        let mut laboratory = Self { root, calls, interposer, program, folder };
+        let mut laboratory = Self { root, calls, peak: 0, interposer, program, folder };
         capture::cut(&laboratory.root, &laboratory.capture())?;
         let mut case = Case::new(&laboratory, 0, "reference", 0)?;
         let (capture, run) = (laboratory.capture(), laboratory.run());
         let output = case.ffgs(&run_words(&capture, &run, &[]))?;
         ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
-        laboratory.calls = told(&laboratory.report());
+        let peak = case.peak();
+        (laboratory.calls, laboratory.peak) = (told(&laboratory.report()), peak);
         Ok(laboratory)
     }
 

@@ -109,12 +109,16 @@ const KINDS: [Kind; 17] = [
     kind("runs", 8, 30, inputs::damaged_run),
     kind("exports", 3, 10, exports::damaged_export),
     kind("streams", 3, 12, exports::damaged_stream),
-    kind("settings", 8, 30, inputs::odd_settings),
+    kind(SETTINGS, 8, 30, inputs::odd_settings),
     kind("stages", 20, 40, inputs::damaged_stage_input),
     kind(LONG, 0, 1, long::killed_a_hundred_times),
 ];
 /// The kind that takes many minutes: only by its name.
 const LONG: &str = "long";
+/// The kind whose settings may ask for any amount of memory.
+const SETTINGS: &str = "settings";
+/// Most memory of any case, in that of the undisturbed run: no damage to a file of that size may cost more.
+const MOST_MEMORY: u64 = 2;
 /// Kinds that need the library between the program and the system.
 const INJECTED: [&str; 2] = ["calls", "io-errors"];
 
@@ -173,7 +177,7 @@ fn torment(
         for number in options.cases(kind) {
             let mut case = Case::new(laboratory, seed, name, number)?;
             count.cases += 1;
-            let ended = (kind.torment)(&mut case);
+            let ended = (kind.torment)(&mut case).and_then(|()| within_memory(&case, name));
             count.peak = count.peak.max(case.peak());
             if let Err(fault) = ended {
                 count.failures += 1;
@@ -185,6 +189,18 @@ fn torment(
         }
         count.seconds += start.elapsed().as_secs_f64();
     }
+    Ok(())
+}
+
+fn within_memory(case: &Case, name: &str) -> Result<()> {
+    let (held, usual) = (case.peak(), case.laboratory.peak);
+    let bounded = name != SETTINGS && usual > 0;
+    ensure!(
+        !bounded || held <= MOST_MEMORY * usual,
+        "{} MiB were held; a run that nothing disturbs holds {} MiB",
+        held >> 10,
+        usual >> 10
+    );
     Ok(())
 }
 
