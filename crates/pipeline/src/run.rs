@@ -345,7 +345,9 @@ impl<'a> Job<'a> {
             now: &now,
             tracks: &self.tracks,
         };
-        method.predict(&step, &mut scene, log).with_context(|| self.named("prediction"))?;
+        method
+            .predict(&step, &mut scene, log)
+            .with_context(|| self.named(&format!("prediction of frame {frame}")))?;
         let measuring = Instant::now();
         let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
         let truths = load_tests(&*self.capture, frame)?;
@@ -353,7 +355,10 @@ impl<'a> Job<'a> {
         let measuring = measuring.elapsed().as_secs_f64();
         let predicted = Predicted::new(&scene, &self.config().dynamic);
         let known = predicted.as_ref().map(Predicted::prior);
-        match method.finetune(&step, &mut scene, log).with_context(|| self.named("finetuning"))? {
+        match method
+            .finetune(&step, &mut scene, log)
+            .with_context(|| self.named(&format!("finetuning of frame {frame}")))?
+        {
             Finetuning::ByLanes => {
                 self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
                 let learning = Instant::now();
