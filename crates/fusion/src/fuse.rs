@@ -1,7 +1,7 @@
 use crate::config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use crate::error::FusionError;
 use crate::evidence::{Evidence, robust_weight};
-use crate::groups::Group;
+use crate::groups::{Group, Groups};
 use crate::input::FusionInput;
 use crate::prior::Prior;
 use crate::process_noise::{median_displacement, per_group};
@@ -51,6 +51,21 @@ pub struct InformationFuser {
 
 impl MotionFuser for InformationFuser {
     fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
+        self.fuse_refined(input, &mut |_| ())
+    }
+}
+
+impl InformationFuser {
+    /// As [`fuse`](MotionFuser::fuse); `refine` may improve the motions of the rigid groups by what it knows beside the
+    /// estimates, before their members follow them.
+    ///
+    /// # Errors
+    /// As [`fuse`](MotionFuser::fuse).
+    pub fn fuse_refined(
+        &self,
+        input: &FusionInput,
+        refine: &mut dyn FnMut(&mut Groups),
+    ) -> Result<Fused, FusionError> {
         check(input)?;
         let predicted = predict(input, &self.config)?;
         let (q, evidence) = rayon::join(
@@ -61,7 +76,7 @@ impl MotionFuser for InformationFuser {
         let q_of = process_noise(input, &predicted, &self.config, q)?;
         let structure = match self.config.structure {
             Structure::None => None,
-            _ => structured(input, &evidence, &self.config)?,
+            _ => structured(input, &evidence, &self.config, refine)?,
         };
         let states: Vec<State> = (0..predicted.len())
             .into_par_iter()

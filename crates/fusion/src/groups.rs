@@ -67,6 +67,8 @@ pub struct Group {
     pub scales: Vec<f64>,
     /// Variance per axis of the cells' own motions about the group's (m^2).
     pub spread: f64,
+    /// Variance per axis (m^2) of what all trackers get wrong together over the whole group.
+    pub shared: f64,
     /// Cells that found the group.
     pub cells: usize,
     /// Logarithm of the odds that it is not rigid.
@@ -75,10 +77,9 @@ pub struct Group {
 
 impl Group {
     /// Where the group takes a place of t-1 (m), and the covariance of that (m^2).
-    pub(crate) fn predict(&self, place: DVec3, config: &GroupsConfig) -> (DVec3, Symmetric) {
+    pub(crate) fn predict(&self, place: DVec3) -> (DVec3, Symmetric) {
         let arm = self.motion.rotation * (place - self.motion.centre);
-        let shared = self.spread / config.patches.clamp(1.0, self.cells.max(1) as f64);
-        let covariance = place_covariance(&self.covariance, arm) + Symmetric::scalar(shared);
+        let covariance = place_covariance(&self.covariance, arm) + Symmetric::scalar(self.shared);
         (self.motion.apply(place), covariance)
     }
 }
@@ -293,14 +294,10 @@ impl<'a> Search<'a> {
         };
         let mut deviations: Vec<f64> = cells.iter().filter_map(deviation).collect();
         let sigma = median(&mut deviations)? / MEDIAN_LENGTH;
-        let group = Group {
-            motion: fit.motion,
-            covariance,
-            scales: fit.scales,
-            spread: sigma * sigma,
-            cells: cells.len(),
-            flexibility: 0.0,
-        };
+        let spread = sigma * sigma;
+        let shared = spread / self.config.patches.clamp(1.0, cells.len().max(1) as f64);
+        let (motion, scales, count) = (fit.motion, fit.scales, cells.len());
+        let group = Group { motion, covariance, scales, spread, shared, cells: count, flexibility: 0.0 };
         Some((cells, group))
     }
 
@@ -350,8 +347,8 @@ impl<'a> Search<'a> {
             return true;
         }
         let centre = group.motion.centre;
-        let (place, covariance) = group.predict(centre, self.config);
-        let (expected, uncertain) = parent.predict(centre, self.config);
+        let (place, covariance) = group.predict(centre);
+        let (expected, uncertain) = parent.predict(centre);
         let patches = (cells.len() as f64 / PATCH_CELLS).max(1.0);
         let patch = self.single_variance(cells, &group.scales).unwrap_or(0.0) / patches;
         let total = covariance + uncertain + Symmetric::scalar(parent.spread + patch);

@@ -57,7 +57,7 @@ pub use config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
 pub use error::FusionError;
 pub use fuse::{Fused, InformationFuser, MotionFuser, initial_covariance, symmetric_inverse};
-pub use groups::{Group, GroupsConfig, spatial_objects};
+pub use groups::{Group, Groups, GroupsConfig, spatial_objects};
 pub use input::FusionInput;
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};
 pub use rigid::{RigidMotion, fit_rigid};

@@ -48,6 +48,7 @@ pub fn structured(
     input: &FusionInput,
     evidence: &Evidence,
     config: &FusionConfig,
+    refine: &mut dyn FnMut(&mut Groups),
 ) -> Result<Option<Structured>, FusionError> {
     let previous = input.prior_means;
     let mut groups = match config.structure {
@@ -60,11 +61,12 @@ pub fn structured(
     };
     let odds = flexibility.of_groups.iter();
     groups.found.iter_mut().zip(odds).for_each(|(group, odds)| group.flexibility = *odds);
+    refine(&mut groups);
     let scales: Vec<Vec<f64>> = groups.found.iter().map(|g| g.scales.clone()).collect();
     let by_group = |i: usize| {
         let g = groups.of[i]?;
         let group = &groups.found[g];
-        let (mean, covariance) = group.predict(previous[i], &config.groups);
+        let (mean, covariance) = group.predict(previous[i]);
         Some(Prior {
             mean,
             covariance,

@@ -3,7 +3,6 @@
 use ffgs_lab::evaluation::SourceArgs;
 use ffgs_lab::motion_eval::{self, MotionEvalArgs};
 use ffgs_pipeline::args::LogArgs;
-use ffgs_pipeline::choice::MethodChoice;
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
 use ffgs_pipeline::folder::RunFolder;
@@ -31,7 +30,7 @@ fn request(out: &Path) -> RunRequest {
         capture: sample(),
         out: out.to_owned(),
         resume: false,
-        method: MethodChoice::default(),
+        method: None,
         frames: Some(FrameRange { start: 0, end: Some(2) }),
         train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
         first_frame: None,

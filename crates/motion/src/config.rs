@@ -1,5 +1,6 @@
 //! Every setting of the motion initialisation.
 
+use crate::AlignmentConfig;
 use ffgs_fusion::{DensifyConfig, FusionConfig, Slack};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
@@ -20,6 +21,8 @@ pub struct MotionConfig {
     pub triangulation: TriangulationConfig,
     /// Positions to a posterior.
     pub fusion: FusionConfig,
+    /// Rigid groups aligned with the photographs.
+    pub alignment: AlignmentConfig,
     /// Growth by uncertainty.
     pub densification: DensifyConfig,
 }
@@ -46,6 +49,7 @@ impl MotionConfig {
             },
             triangulation: TriangulationConfig::literal(),
             fusion: FusionConfig::literal(),
+            alignment: AlignmentConfig { steps: 0, ..defaults.alignment },
             ..defaults
         }
     }

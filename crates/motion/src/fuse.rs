@@ -5,7 +5,7 @@ use crate::turn::turn;
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog};
 use ffgs_fusion::{
-    Fused, FusionInput, InformationFuser, MotionFuser, ProcessNoise, ViewObservations, spatial_objects,
+    Fused, FusionInput, Groups, InformationFuser, ProcessNoise, ViewObservations, spatial_objects,
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -48,12 +48,13 @@ impl<'a> Lens<'a> {
     }
 }
 
-/// Lines 25 to 34: the posterior of the layer.
+/// Lines 25 to 34: the posterior of the layer. `refine` may improve the motions of the rigid groups.
 pub fn fuse(
     input: &MotionInput,
     observations: &[Observations],
     estimates: &[Estimates],
     dynamic: &Dynamic,
+    refine: &mut dyn FnMut(&mut Groups),
     log: &mut StageLog,
 ) -> Result<Fused> {
     let start = Instant::now();
@@ -65,7 +66,7 @@ pub fn fuse(
     };
     let cameras: Vec<Camera> = input.step.now.iter().map(|view| view.camera).collect();
     let standing = vec![DVec3::ZERO; input.previous.len()];
-    let fused = fuser.fuse(&FusionInput {
+    let fusion = FusionInput {
         prior_means: input.previous,
         prior_covariances: &dynamic.covariances,
         estimates,
@@ -75,7 +76,8 @@ pub fn fuse(
         q_floor_m: 0.25 * typical_size(&mut pixel_m),
         observed: Some(ViewObservations { cameras: &cameras, observations }),
         flexibility: dynamic.known_flexibility(),
-    })?;
+    };
+    let fused = fuser.fuse_refined(&fusion, refine)?;
     log.since("fusion", start);
     Ok(fused)
 }

@@ -4,6 +4,7 @@
 //! [`TrackerMotion`] is the method as a whole; [`observe`] and [`move_by`] are its two halves, for measurements between
 //! them. [`Standstill`] leaves every Gaussian where it is.
 
+mod alignment;
 mod config;
 mod densify;
 mod fields;
@@ -18,6 +19,7 @@ mod turn;
 mod validate;
 mod withdraw;
 
+pub use alignment::AlignmentConfig;
 pub use config::{AssociationConfig, MarkingConfig, MotionConfig, Rotate};
 pub use fuse::pixel_sizes;
 pub use input::MotionInput;

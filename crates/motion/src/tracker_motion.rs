@@ -1,9 +1,11 @@
+use crate::alignment::align;
 use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
+use std::time::{Duration, Instant};
 
 /// Moves the dynamic layer by what the trackers saw: by all of them fused, or by one alone.
 pub struct TrackerMotion<'a> {
@@ -66,7 +68,16 @@ pub fn move_by(
         log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, log)?;
+    let mut aligning = Duration::ZERO;
+    let refine = &mut |groups: &mut _| {
+        let start = Instant::now();
+        let (config, rotate) = (&input.config.alignment, input.config.association.rotate);
+        align(config, rotate, input.step.now, &dynamic.gaussians, groups);
+        aligning = start.elapsed();
+    };
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, refine, log)?;
+    log.add_seconds("alignment", aligning.as_secs_f64());
+    log.add_seconds("fusion", -aligning.as_secs_f64());
     fuse::apply(input, fused, dynamic, log);
     Ok(estimates)
 }
@@ -84,7 +95,7 @@ fn expected_places(
     // A rehearsal: what it skips is not counted, the time it takes is.
     let mut rehearsal = StageLog::default();
     let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut rehearsal)?;
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut |_| (), &mut rehearsal)?;
     rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
     Ok(fused.means)
 }

@@ -161,7 +161,7 @@ impl RunArgs {
             capture: self.capture.clone(),
             out: self.out.clone(),
             resume: self.resume,
-            method: self.method.clone().unwrap_or_default(),
+            method: self.method.clone(),
             frames: self.frames,
             train_views: self.train_views.clone(),
             first_frame: self.first_frame.clone(),
@@ -279,10 +279,7 @@ mod tests {
         let config = &request.config;
         assert_eq!((config.seed, config.dynamic.iterations, config.first_frame.iterations), (7, 5, 13));
         assert_eq!(config.background, Config::default().background);
-        assert_eq!(
-            (request.method.to_string().as_str(), request.quiet, request.resume),
-            ("none", true, false)
-        );
+        assert_eq!((request.method, request.quiet, request.resume), ("none".parse().ok(), true, false));
         let steps = ["cap", "--out", "o", "--static-iterations", "9", "--seed", "3"];
         let config = parse::<RunArgs>(&steps).unwrap().request().unwrap().config;
         assert_eq!(

@@ -2,7 +2,7 @@
 
 use crate::method::Parts;
 use crate::registry::METHODS;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::{Arg, Command, Error, error::ErrorKind};
 use ffgs_method::{MotionMethod, Plugin};
@@ -26,6 +26,29 @@ impl MethodChoice {
     /// When the argument is not one of it.
     pub fn build<'a>(&self, parts: &Parts<'a>) -> Result<Box<dyn MotionMethod + 'a>> {
         (METHODS.find(&self.name)?.build)(parts, &self.argument).with_context(|| format!("--method {self}"))
+    }
+
+    /// The first method of the registry that can be made for a capture whose user names none: without trackers, the
+    /// first one that needs none.
+    ///
+    /// # Errors
+    /// When there is no such method.
+    pub fn suitable(parts: &Parts) -> Result<Self> {
+        let plain = METHODS.items.iter().filter(|method| !method.usage.contains(':'));
+        let choices = plain.map(|method| Self { name: method.name().to_owned(), argument: String::new() });
+        let mut refused = None;
+        for choice in choices {
+            match choice.build(parts) {
+                Ok(_) => {
+                    if let Some(error) = refused {
+                        tracing::warn!("taking --method {choice}, as {error:#}");
+                    }
+                    return Ok(choice);
+                }
+                Err(error) => refused = refused.or(Some(error)),
+            }
+        }
+        Err(refused.unwrap_or_else(|| anyhow!("no method is registered")))
     }
 }
 
@@ -95,6 +118,18 @@ impl TypedValueParser for MethodParser {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+
+    #[test]
+    fn without_trackers_the_method_that_needs_none_is_taken() {
+        let config = Config::default();
+        let parts = Parts { config: &config, tracks: &[], gpu: None };
+        assert_eq!(MethodChoice::suitable(&parts).unwrap().to_string(), "none");
+        assert!(
+            MethodChoice::default().build(&parts).is_err(),
+            "who asks for trackers is told that there are none"
+        );
+    }
 
     #[test]
     fn choices_are_read_and_written_alike() {

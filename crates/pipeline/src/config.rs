@@ -5,7 +5,7 @@ use anyhow::{Context, Result, ensure};
 use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
-use ffgs_motion::{AssociationConfig, MarkingConfig, MotionConfig};
+use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
 use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
@@ -37,6 +37,8 @@ pub struct Config {
     pub triangulation: TriangulationConfig,
     /// Positions to a posterior.
     pub fusion: FusionConfig,
+    /// Rigid groups aligned with the photographs.
+    pub alignment: AlignmentConfig,
     /// Growth by uncertainty.
     pub densification: DensifyConfig,
     /// Finetuning of the dynamic layer.
@@ -59,6 +61,7 @@ impl Default for Config {
             association: AssociationConfig::default(),
             triangulation: TriangulationConfig::default(),
             fusion: FusionConfig::default(),
+            alignment: AlignmentConfig::default(),
             densification: DensifyConfig::default(),
             dynamic: DynamicLaneConfig::default(),
             background: BackgroundConfig::default(),
@@ -99,6 +102,7 @@ impl Config {
             association: self.association,
             triangulation: self.triangulation,
             fusion: self.fusion,
+            alignment: self.alignment,
             densification: self.densification,
         }
     }
@@ -106,9 +110,17 @@ impl Config {
     /// These settings with another motion initialisation.
     #[must_use]
     pub fn with_motion(self, motion: MotionConfig) -> Self {
-        let MotionConfig { marking, voronoi, agreement, association, triangulation, fusion, densification } =
-            motion;
-        Self { marking, voronoi, agreement, association, triangulation, fusion, densification, ..self }
+        Self {
+            marking: motion.marking,
+            voronoi: motion.voronoi,
+            agreement: motion.agreement,
+            association: motion.association,
+            triangulation: motion.triangulation,
+            fusion: motion.fusion,
+            alignment: motion.alignment,
+            densification: motion.densification,
+            ..self
+        }
     }
 
     /// As TOML.

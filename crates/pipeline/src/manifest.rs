@@ -56,6 +56,7 @@ impl Manifest {
     /// Describes a request.
     pub fn new(
         request: &RunRequest,
+        method: &MethodChoice,
         capture: &dyn Capture,
         frames: &Range<usize>,
         device: String,
@@ -69,7 +70,7 @@ impl Manifest {
             capture: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             capture_path: path,
             frames: frames.clone(),
-            method: request.method.clone(),
+            method: method.clone(),
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
             device,

@@ -33,7 +33,6 @@ pub const METHODS: Registry<Method> = Registry {
         &methods::DYNAMIC3DGS,
         &methods::HICOM,
         &methods::RECONGS,
-        &methods::TRACKERSPLAT,
     ],
 };
 

@@ -1,6 +1,7 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
 use crate::check::check_capture;
+use crate::choice::MethodChoice;
 use crate::config::Config;
 use crate::console::Console;
 use crate::device;
@@ -109,9 +110,13 @@ impl<'a> Job<'a> {
         let folder = RunFolder(request.out.clone());
         require_start(request, &folder, frames.start)?;
         let gpus = request.device.open()?;
-        let manifest = Manifest::new(request, &*capture, &frames, device::name(&gpus))?;
         // A method that cannot be made leaves the output folder untouched.
-        request.method.build(&Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() })?;
+        let parts = Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() };
+        let method = match &request.method {
+            Some(method) => method.build(&parts).map(|_| method.clone())?,
+            None => MethodChoice::suitable(&parts)?,
+        };
+        let manifest = Manifest::new(request, &method, &*capture, &frames, device::name(&gpus))?;
         if let Some(run) = &request.first_frame {
             manifest.check_first_frame(&RunFolder(run.clone()))?;
         }
@@ -129,12 +134,12 @@ impl<'a> Job<'a> {
 
     fn method(&self) -> Result<Box<dyn MotionMethod + '_>> {
         let parts = Parts { config: self.config(), tracks: &self.tracks, gpu: self.gpus.first() };
-        self.request.method.build(&parts)
+        self.manifest.method.build(&parts)
     }
 
     /// For errors of a method: which one it is.
     fn named(&self, what: &str) -> String {
-        format!("method {}: {what}", self.request.method)
+        format!("method {}: {what}", self.manifest.method)
     }
 
     /// The numbers of a finished frame, whose inputs must still be those that it was made from.
@@ -524,7 +529,6 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::choice::MethodChoice;
     use crate::config::Config;
     use crate::device::Device;
     use crate::request::FrameRange;
@@ -542,7 +546,7 @@ mod tests {
             capture: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini"),
             out: out.to_owned(),
             resume,
-            method: MethodChoice::default(),
+            method: None,
             frames: Some(FrameRange { start: 0, end: Some(frames) }),
             train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
             first_frame: None,

@@ -5,10 +5,9 @@
 //! the dilated mask.
 
 use crate::adam::{Columns, LearningRates};
-use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
-use crate::layer_lane::{LayerSchedule, train_layer};
+use crate::backend::{Around, CutLayers, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::prior::Prior;
-use crate::schedule::decay;
+use crate::schedule::{Epochs, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
@@ -127,11 +126,34 @@ pub fn train_dynamic<B: TrainBackend>(
         prior: surroundings.prior,
         sums_gradients: false,
     };
-    let rates = |iteration| config.rates(iteration, extent);
-    let schedule = LayerSchedule { iterations: config.iterations, rates: &rates, seed };
-    let trained = train_layer(backend, task, &schedule, report);
+    let trained = train(backend, config, task, extent, seed, report);
     *dynamic = Arc::unwrap_or_clone(layer);
     trained
+}
+
+fn train<B: TrainBackend>(
+    backend: &B,
+    config: &DynamicLaneConfig,
+    task: LayerTask,
+    extent: f32,
+    seed: u64,
+    report: &mut dyn FnMut(Progress),
+) -> Result<(), B::Error> {
+    let views = task.views.len();
+    let mut training = backend.upload_layer(task)?;
+    loop {
+        let mut epochs = Epochs::new((0..views).collect(), seed);
+        for iteration in 0..config.iterations {
+            let Some(view) = epochs.draw() else { break };
+            training.forward(view, None)?;
+            training.backward()?;
+            training.step(&config.rates(iteration, extent))?;
+            training.progress(iteration + 1, config.iterations)?.into_iter().for_each(&mut *report);
+        }
+        if !training.must_repeat()? {
+            return training.download();
+        }
+    }
 }
 
 fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView<'a> {

@@ -1,0 +1,169 @@
+//! Rigid motions refined by the photographs: every group is aligned with all views at t, beyond the paper.
+//!
+//! Trackers tell from frame to frame where points go. What they get wrong together stays in a group's motion, and adds up
+//! over frames: a car that is ahead of its photographs by a centimetre in each of twenty frames is lost. The layer itself
+//! knows what the group looks like. Rendered where the trackers take it, its pixels, thousands with six unknowns, tell how
+//! far it has to go until the photographs at t agree: direct image alignment (Lucas and Kanade 1981) in three dimensions,
+//! by Gauss-Newton steps. Layer and photograph are seen from the same place, so an error of the depth does no harm, and
+//! an error of earlier frames is seen and mended.
+//!
+//! The result is fused with the trackers' by their covariances. That of the photographs comes from how the views disagree:
+//! neighbouring pixels share their errors, views do not.
+
+mod normal;
+mod photograph;
+mod surface;
+
+use crate::Rotate;
+use crate::turn::turn;
+use ffgs_core::{Gaussians, TrainingView};
+use ffgs_fusion::{Group, Groups, RigidMotion};
+use glam::{DQuat, DVec3};
+use nalgebra::{Matrix6, Vector6};
+use normal::Joint;
+use photograph::{Patch, Unknowns};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use surface::{SurfacePoint, surface_points};
+
+/// Settings of the alignment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlignmentConfig {
+    /// Most Gauss-Newton steps; 0 = the trackers' motions stay as they are.
+    pub steps: usize,
+    /// Pixels of a group that count in a view, at most.
+    pub pixels: usize,
+    /// Factor on the information of the trackers' motion. They read the same photographs, so what they say is no
+    /// independent evidence.
+    pub trackers: f64,
+    /// Error (px) that all views share, such as that of the layer's shape.
+    pub shared_px: f64,
+}
+
+impl Default for AlignmentConfig {
+    fn default() -> Self {
+        Self { steps: 10, pixels: 4096, trackers: 0.3, shared_px: 0.1 }
+    }
+}
+
+/// Fewest pixels of a group in a view that counts.
+const LEAST_PIXELS: usize = 32;
+/// Fewest views: how they disagree is the measure of the error.
+const LEAST_VIEWS: usize = 3;
+
+/// Refines the motions of the rigid groups of `layer`, which is where it was at t-1, by the `views` at t. Returns how many
+/// were refined: the others are seen by too few views, or show nothing that an alignment could use.
+pub fn align(
+    config: &AlignmentConfig,
+    rotate: Rotate,
+    views: &[TrainingView],
+    layer: &Gaussians,
+    groups: &mut Groups,
+) -> usize {
+    if config.steps == 0 || groups.found.is_empty() {
+        return 0;
+    }
+    let moved = moved_layer(layer, groups, rotate);
+    let views: Vec<&TrainingView> = views.iter().filter(|view| view.mask.count() > 0).collect();
+    let seen: Vec<Vec<Vec<SurfacePoint>>> =
+        views.par_iter().map(|view| surface_points(view, &moved, groups, config.pixels)).collect();
+    let corrections: Vec<Option<Correction>> = (groups.found.par_iter().enumerate())
+        .map(|(g, group)| {
+            let patches = views.iter().zip(&seen).map(|(view, seen)| Patch { view, points: &seen[g] });
+            correction(config, group, &patches.filter(|p| p.points.len() >= LEAST_PIXELS).collect::<Vec<_>>())
+        })
+        .collect();
+    let apply = |(group, correction): (&mut Group, Correction)| correction.apply(group);
+    let pairs = groups.found.iter_mut().zip(corrections);
+    pairs.filter_map(|(group, correction)| Some((group, correction?))).map(apply).count()
+}
+
+/// The layer where the motions of its groups take it.
+fn moved_layer(layer: &Gaussians, groups: &Groups, rotate: Rotate) -> Gaussians {
+    let motion = |i: usize| groups.of[i].map(|g| &groups.found[g].motion);
+    let mut moved = layer.clone();
+    for (i, mean) in moved.means.iter_mut().enumerate() {
+        if let Some(motion) = motion(i) {
+            *mean = motion.apply(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
+        }
+    }
+    let rotations: Vec<DQuat> =
+        (0..layer.len()).map(|i| motion(i).map_or(DQuat::IDENTITY, |m| m.rotation)).collect();
+    turn(&mut moved, &rotations, rotate);
+    moved
+}
+
+/// What is left to move of a group, about its centre at t.
+struct Correction {
+    motion: RigidMotion,
+    /// Covariance of step (m) and rotation vector (rad).
+    covariance: Matrix6<f64>,
+}
+
+impl Correction {
+    fn apply(self, group: &mut Group) {
+        tracing::debug!(
+            "a group of {} mm step is aligned by {:.1} mm, {:.2} degrees; sigma {:.1} mm",
+            (1e3 * group.motion.step.length()).round(),
+            1e3 * self.motion.step.length(),
+            self.motion.rotation.to_scaled_axis().length().to_degrees(),
+            1e3 * (self.covariance.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt(),
+        );
+        group.motion.step += self.motion.step;
+        group.motion.rotation = (self.motion.rotation * group.motion.rotation).normalize();
+        (group.covariance, group.shared) = (self.covariance, 0.0);
+    }
+}
+
+/// Gauss-Newton on the difference of layer and photographs; `None` where that does not get less.
+fn correction(config: &AlignmentConfig, group: &Group, patches: &[Patch]) -> Option<Correction> {
+    if patches.len() < LEAST_VIEWS {
+        return None;
+    }
+    let centre = group.motion.centre + group.motion.step;
+    let start = RigidMotion { centre, rotation: DQuat::IDENTITY, step: DVec3::ZERO };
+    let mut known = group.covariance;
+    (0..3).for_each(|i| known[(i, i)] += group.shared);
+    let known = known.cholesky()?.inverse() * config.trackers;
+    let pixel_m = patches.iter().map(|p| p.pixel_m(centre)).fold(f64::INFINITY, f64::min);
+    let shared = (config.shared_px * pixel_m).powi(2);
+    let first = Joint::new(patches, &start)?;
+    let (mut motion, mut joint, mut covariance) = (start, first.clone(), None);
+    for _ in 0..config.steps {
+        let (step, mut of_pictures) = joint.solve()?;
+        (0..3).for_each(|i| of_pictures[(i, i)] += shared);
+        let pictures = of_pictures.cholesky()?.inverse();
+        let fused = (pictures + known).cholesky()?;
+        let change = fused.solve(&(pictures * step - known * offset(&motion)));
+        covariance = Some(fused.inverse());
+        motion = moved(motion, &change);
+        joint = Joint::new(patches, &motion)?;
+        if change.amax() < CONVERGED {
+            break;
+        }
+    }
+    let finite = motion.step.is_finite() && motion.rotation.is_finite();
+    (finite && joint.scale <= first.scale).then_some(Correction { motion, covariance: covariance? })
+}
+
+/// A change below this (m, rad) ends the steps.
+const CONVERGED: f64 = 1e-5;
+
+/// A motion as step and rotation vector.
+fn offset(motion: &RigidMotion) -> Unknowns {
+    let (step, turn) = (motion.step, motion.rotation.to_scaled_axis());
+    Vector6::new(step.x, step.y, step.z, turn.x, turn.y, turn.z)
+}
+
+fn moved(motion: RigidMotion, change: &Unknowns) -> RigidMotion {
+    let turn = DQuat::from_scaled_axis(DVec3::new(change[3], change[4], change[5]));
+    RigidMotion {
+        centre: motion.centre,
+        rotation: (turn * motion.rotation).normalize(),
+        step: motion.step + DVec3::new(change[0], change[1], change[2]),
+    }
+}
+
+#[cfg(test)]
+mod tests;
