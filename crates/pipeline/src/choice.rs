@@ -1,8 +1,8 @@
 //! The choice of a method: `--method NAME` or `--method NAME:ARGUMENT`.
 
-use crate::method::Parts;
+use crate::method::{Method, Parts};
 use crate::registry::METHODS;
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::{Arg, Command, Error, error::ErrorKind};
 use ffgs_method::{MotionMethod, Plugin};
@@ -28,27 +28,16 @@ impl MethodChoice {
         (METHODS.find(&self.name)?.build)(parts, &self.argument).with_context(|| format!("--method {self}"))
     }
 
-    /// The first method of the registry that can be made for a capture whose user names none: without trackers, the
-    /// first one that needs none.
+    /// For a single frame, in which nothing moves, when none is named: the first method of the registry that has all that
+    /// it needs.
     ///
     /// # Errors
     /// When there is no such method.
     pub fn suitable(parts: &Parts) -> Result<Self> {
         let plain = METHODS.items.iter().filter(|method| !method.usage.contains(':'));
-        let choices = plain.map(|method| Self { name: method.name().to_owned(), argument: String::new() });
-        let mut refused = None;
-        for choice in choices {
-            match choice.build(parts) {
-                Ok(_) => {
-                    if let Some(error) = refused {
-                        tracing::warn!("taking --method {choice}, as {error:#}");
-                    }
-                    return Ok(choice);
-                }
-                Err(error) => refused = refused.or(Some(error)),
-            }
-        }
-        Err(refused.unwrap_or_else(|| anyhow!("no method is registered")))
+        let named = |method: &Method| Self { name: method.name().to_owned(), argument: String::new() };
+        let found = plain.map(|method| named(method)).find(|choice| choice.build(parts).is_ok());
+        found.context("no method can be made for this capture")
     }
 }
 

@@ -1,6 +1,6 @@
 //! Progress on the terminal.
 
-use crate::record::{FrameRecord, Metrics};
+use crate::record::{FrameRecord, Metrics, ViewMetrics, mean};
 use crate::terminal;
 use ffgs_trainer::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -73,15 +73,15 @@ impl Console {
     /// A frame is written.
     pub fn end_frame(&mut self, record: &FrameRecord) {
         self.estimate_time();
-        let of = |f: fn(&crate::record::ViewMetrics) -> Option<f64>| {
-            let values: Vec<f64> = record.views.iter().filter_map(f).collect();
-            values.iter().sum::<f64>() / values.len().max(1) as f64
+        let quality = |name: &str, of: fn(&ViewMetrics) -> Option<f64>| {
+            let value = mean(record.views.iter().filter_map(of));
+            value.map_or_else(String::new, |value| format!("{name} {value:.2} dB, "))
         };
         self.say(&format!(
-            "frame {}: PSNR {:.2} dB, MPSNR {:.2} dB, {} + {} Gaussians, {:.1} s",
+            "frame {}: {}{}{} + {} Gaussians, {:.1} s",
             record.frame,
-            of(|v| Some(v.psnr)),
-            of(|v| v.mpsnr),
+            quality("PSNR", |v| Some(v.psnr)),
+            quality("MPSNR", |v| v.mpsnr),
             record.static_gaussians,
             record.dynamic_gaussians,
             record.log.seconds.get("wall").copied().unwrap_or(0.0)
@@ -114,9 +114,12 @@ impl Console {
     pub fn finish(&self, metrics: &Metrics) {
         self.frames.finish_and_clear();
         let m = &metrics.mean;
+        if m.psnr.is_none() {
+            return;
+        }
         let show = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.2}"));
         self.say(&format!(
-            "mean over test views, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s a frame",
+            "mean over test views, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s per frame",
             show(m.psnr),
             show(m.mpsnr),
             show(m.ssim),

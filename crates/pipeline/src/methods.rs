@@ -71,8 +71,8 @@ fn moved_by<'a>(parts: &Parts<'a>, only: Option<String>) -> Box<dyn MotionMethod
 fn all_trackers<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
     if parts.tracks.is_empty() {
         bail!(
-            "the capture has no trackers (tracks/tracks.json), so nothing says how things move; add some, or use \
-             --method none to start each frame where the last one ended"
+            "the capture has no trackers (tracks/tracks.json), so nothing says how things move; `ffgs prepare` \
+             makes some, --method none starts each frame where the last one ended"
         );
     }
     Ok(moved_by(parts, None))

@@ -15,7 +15,7 @@ pub struct RunRequest {
     pub out: PathBuf,
     /// Go on after the last finished frame.
     pub resume: bool,
-    /// How the scene moves from frame to frame; `None` = the first method that the capture has all for.
+    /// How the scene moves from frame to frame; `None` = the default, or for a single frame any.
     pub method: Option<MethodChoice>,
     /// Frames; `None` = all. The first is trained from the initial points.
     pub frames: Option<FrameRange>,

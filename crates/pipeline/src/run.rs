@@ -114,7 +114,8 @@ impl<'a> Job<'a> {
         let parts = Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() };
         let method = match &request.method {
             Some(method) => method.build(&parts).map(|_| method.clone())?,
-            None => MethodChoice::suitable(&parts)?,
+            None if frames.len() == 1 => MethodChoice::suitable(&parts)?,
+            None => MethodChoice::default().build(&parts).map(|_| MethodChoice::default())?,
         };
         let manifest = Manifest::new(request, &method, &*capture, &frames, device::name(&gpus))?;
         if let Some(run) = &request.first_frame {

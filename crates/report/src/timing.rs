@@ -16,7 +16,7 @@ pub struct Row {
     pub is_total: bool,
 }
 
-/// A row that the paper has, and the stages that it sums.
+/// A row, and the stages that it sums.
 struct Stage {
     label: &'static str,
     lane: &'static str,
@@ -39,19 +39,31 @@ const fn total(
 }
 
 /// The stages of the dynamic lane.
-const DYNAMIC: [&str; 8] =
-    ["load", "voronoi", "agreement", "association", "triangulation", "fusion", "validation", "dynamic"];
+const DYNAMIC: [&str; 10] = [
+    "load",
+    "voronoi",
+    "agreement",
+    "association",
+    "triangulation",
+    "alignment",
+    "fusion",
+    "validation",
+    "dynamic",
+    "information",
+];
 
 /// Seconds of the paper: its table for Monaco4D, one GPU per lane.
-const STAGES: [Stage; 12] = [
+const STAGES: [Stage; 14] = [
     stage("Load", "< 0.1", &["load"]),
     stage("Voronoi densification", "0.5", &["voronoi"]),
     stage("Agreement", "< 0.1", &["agreement"]),
     stage("Association", "–", &["association"]),
     stage("Triangulation", "0.2", &["triangulation"]),
+    stage("Alignment", "–", &["alignment"]),
     stage("Fusion", "0.15", &["fusion"]),
     stage("Validation", "–", &["validation"]),
     stage("Finetuning", "~ 9.5", &["dynamic"]),
+    stage("Information", "–", &["information"]),
     total("Dynamic lane", "dynamic", "~ 10.5", &DYNAMIC),
     total("Static lane (SH only)", "static", "~ 25", &["static"]),
     total("Sky lane", "sky", "~ 1", &["sky"]),

@@ -251,7 +251,10 @@ fn timeless(file: &Path) -> Result<Vec<u8>> {
 fn forget_times(value: &mut Value) {
     match value {
         Value::Object(map) => {
-            map.retain(|key, _| !["seconds", "seconds_per_frame", "peak_memory_mib"].contains(&key.as_str()));
+            map.retain(|key, _| {
+                !["seconds", "seconds_per_frame", "psnr_per_second", "vmaf_per_second", "peak_memory_mib"]
+                    .contains(&key.as_str())
+            });
             map.values_mut().for_each(forget_times);
         }
         Value::Array(items) => items.iter_mut().for_each(forget_times),

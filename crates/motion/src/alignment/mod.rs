@@ -43,7 +43,7 @@ pub struct AlignmentConfig {
 
 impl Default for AlignmentConfig {
     fn default() -> Self {
-        Self { steps: 10, pixels: 4096, trackers: 0.3, shared_px: 0.1 }
+        Self { steps: 10, pixels: 4096, trackers: 0.1, shared_px: 0.1 }
     }
 }
 
