@@ -22,7 +22,7 @@ const SH0_BY_REST: f32 = 20.0;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AddedConfig {
-    /// Steps a frame, one view each.
+    /// Steps per frame, one view each.
     pub iterations: usize,
     /// Mean gradient of the projected position from which a Gaussian is copied, and a copy is split.
     pub grow_gradient: f32,

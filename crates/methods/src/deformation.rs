@@ -23,7 +23,7 @@ const EPSILON: f32 = 1e-15;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionFitConfig {
-    /// Steps a frame, one view each.
+    /// Steps per frame, one view each.
     pub iterations: usize,
     /// Rate of every value of a delta (m; quaternions).
     pub rate: f32,

@@ -21,7 +21,7 @@ pub enum StaticMethod {
 pub struct BackgroundConfig {
     /// How the static layer's colours are found.
     pub static_method: StaticMethod,
-    /// Iterations of conjugate gradients a frame, each over all views; method `solve`.
+    /// Iterations of conjugate gradients per frame, each over all views; method `solve`.
     pub solve_iterations: usize,
     /// SH degree up to which the solve changes colours.
     pub solve_degree: usize,
@@ -33,13 +33,13 @@ pub struct BackgroundConfig {
     pub solve_sh_rest_change: f32,
     /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then `steps` are taken.
     pub solve_memory_mib: usize,
-    /// Steps a frame, one view each; method `steps`.
+    /// Steps per frame, one view each; method `steps`.
     pub static_iterations: usize,
     /// Rate of SH coefficient 0 in these steps.
     pub sh0_rate: f32,
     /// Rate of the other SH coefficients.
     pub sh_rest_rate: f32,
-    /// Steps a frame of the sky lane.
+    /// Steps per frame of the sky lane.
     pub sky_iterations: usize,
     /// Rate of the sky's texels.
     pub sky_rate: f32,

@@ -18,7 +18,7 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicLaneConfig {
-    /// Steps a frame, one view each (N_dyn).
+    /// Steps per frame, one view each (N_dyn).
     pub iterations: usize,
     /// Position rate at the first step, as a share of the dynamic layer's extent.
     pub position_rate: f32,

@@ -41,7 +41,7 @@ const SH0: f32 = 0.282_094_8;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Dynamic3dgsConfig {
-    /// Steps a frame, one view each.
+    /// Steps per frame, one view each.
     pub iterations: usize,
     /// Position rate, as a share of the radius of the cameras.
     pub position_rate: f32,
