@@ -1,7 +1,6 @@
 use ffgs_core::{Gaussians, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, TileMask, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
 };
 use ffgs_trainer::{
     Adam, Epochs, LearningRates, LossRegion, PhotometricLoss, SkyView, TILE_DILATION, Update, decay,

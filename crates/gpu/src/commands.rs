@@ -1,5 +1,5 @@
-use crate::profile::Clock;
-use crate::{Buffer, Gpu, Kernel};
+use crate::clock::Clock;
+use crate::{Buffer, Gpu, GpuError, Kernel};
 
 /// Workgroups of a dispatch.
 #[derive(Clone, Copy, Debug)]
@@ -26,7 +26,8 @@ pub struct Commands<'a> {
 }
 
 impl<'a> Commands<'a> {
-    pub(crate) fn new(gpu: &'a Gpu, encoder: wgpu::CommandEncoder) -> Self {
+    fn new(gpu: &'a Gpu) -> Self {
+        let encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         Self { gpu, encoder, pass: None, clock: None }
     }
 
@@ -85,9 +86,24 @@ impl<'a> Commands<'a> {
         self.encoder.resolve_query_set(queries, 0..count, &to.0, 0);
     }
 
-    pub(crate) fn finish(self) -> wgpu::CommandBuffer {
+    fn finish(self) -> wgpu::CommandBuffer {
         drop(self.pass);
         self.encoder.finish()
+    }
+}
+
+impl Gpu {
+    /// Starts recording.
+    pub fn commands(&self) -> Commands<'_> {
+        Commands::new(self)
+    }
+
+    /// Hands work to the device. Returns without waiting for it, unless much is in flight.
+    ///
+    /// # Errors
+    /// When the device failed, now or before.
+    pub fn submit(&self, commands: Commands) -> Result<(), GpuError> {
+        self.enqueue(commands.finish())
     }
 }
 

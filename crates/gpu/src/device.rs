@@ -1,6 +1,6 @@
 use crate::adapter::{self, AdapterReport};
 use crate::buffer::{Buffer, Memory, checked_size};
-use crate::{Commands, GpuError, Kernel};
+use crate::{GpuError, Kernel};
 use bytemuck::Pod;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -35,7 +35,7 @@ pub struct Gpu {
     up: AtomicU64,
     down: AtomicU64,
     /// Submissions before a test takes the device away.
-    pub(crate) left: Mutex<Option<usize>>,
+    left: Mutex<Option<usize>>,
 }
 
 impl Gpu {
@@ -176,15 +176,10 @@ impl Gpu {
         }
     }
 
-    /// Starts recording.
-    pub fn commands(&self) -> Commands<'_> {
-        Commands::new(self, self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default()))
-    }
-
-    /// Hands work to the device. Returns without waiting for it, unless much is in flight.
-    pub fn submit(&self, commands: Commands) -> Result<(), GpuError> {
+    /// Hands finished commands to the queue. Returns without waiting for them, unless much is in flight.
+    pub(crate) fn enqueue(&self, commands: wgpu::CommandBuffer) -> Result<(), GpuError> {
         self.count_down();
-        let index = self.queue.submit([commands.finish()]);
+        let index = self.queue.submit([commands]);
         let mut waiting = lock(&self.submissions);
         waiting.push(index);
         if waiting.len() > IN_FLIGHT {
@@ -251,6 +246,21 @@ impl Gpu {
         lock(&self.bindings).clear();
     }
 
+    /// Takes the device away after so many more submissions, as a driver may at any time: for tests of what follows.
+    pub fn lose_after(&self, submissions: usize) {
+        *lock(&self.left) = Some(submissions);
+    }
+
+    /// Counts a submission of a device that is to be lost.
+    fn count_down(&self) {
+        let mut left = lock(&self.left);
+        match left.as_mut() {
+            Some(0) => self.device.destroy(),
+            Some(count) => *count -= 1,
+            None => {}
+        }
+    }
+
     pub(crate) fn bound(
         &self,
         kernel: &Kernel,
@@ -304,7 +314,7 @@ impl Gpu {
 }
 
 /// A panic elsewhere leaves these tables as good as before.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

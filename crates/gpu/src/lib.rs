@@ -26,6 +26,7 @@
 
 mod adapter;
 mod buffer;
+mod clock;
 mod commands;
 mod device;
 mod error;
@@ -35,8 +36,8 @@ pub mod reflection;
 
 pub use adapter::{AdapterReport, adapters, hardware_adapters};
 pub use buffer::Buffer;
+pub use clock::KernelTime;
 pub use commands::{Commands, Groups};
 pub use device::{Gpu, Traffic};
 pub use error::GpuError;
 pub use kernel::Kernel;
-pub use profile::KernelTime;

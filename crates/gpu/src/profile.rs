@@ -1,36 +1,5 @@
-use crate::device::lock;
+use crate::clock::{Clock, KernelTime, MOST_KERNELS};
 use crate::{Commands, Gpu, GpuError};
-
-/// Most kernels of one measured submission: WebGPU's limit of 4096 timestamps a set, two a kernel.
-const MOST_KERNELS: usize = 2048;
-
-/// How long one dispatch of a kernel took on the device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct KernelTime {
-    /// Name of the kernel.
-    pub kernel: &'static str,
-    /// From the first group's start to the last one's end (s).
-    pub seconds: f64,
-}
-
-/// Timestamps around every kernel of some commands. Each kernel gets a pass of its own, so nothing overlaps.
-pub(crate) struct Clock {
-    queries: wgpu::QuerySet,
-    kernels: Vec<&'static str>,
-}
-
-impl Clock {
-    /// The places of the next kernel's two timestamps; none when the set is full.
-    pub fn next(&mut self, kernel: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
-        let first = 2 * self.kernels.len() as u32;
-        self.kernels.push(kernel);
-        (self.kernels.len() <= MOST_KERNELS).then_some(wgpu::ComputePassTimestampWrites {
-            query_set: &self.queries,
-            beginning_of_pass_write_index: Some(first),
-            end_of_pass_write_index: Some(first + 1),
-        })
-    }
-}
 
 impl Gpu {
     /// Like [`Gpu::commands`], with the time of every kernel taken; `None` where the adapter has no timestamps.
@@ -43,7 +12,7 @@ impl Gpu {
             })
         })?;
         let mut commands = self.commands();
-        commands.clock = Some(Clock { queries, kernels: Vec::new() });
+        commands.clock = Some(Clock::new(queries));
         Some(commands)
     }
 
@@ -70,20 +39,5 @@ impl Gpu {
             seconds: end.saturating_sub(*start) as f64 * period,
         };
         Ok(kernels.iter().zip(&ticks).map(time).collect())
-    }
-
-    /// Takes the device away after so many more submissions, as a driver may at any time: for tests of what follows.
-    pub fn lose_after(&self, submissions: usize) {
-        *lock(&self.left) = Some(submissions);
-    }
-
-    /// Counts a submission of a device that is to be lost.
-    pub(crate) fn count_down(&self) {
-        let mut left = lock(&self.left);
-        match left.as_mut() {
-            Some(0) => self.device.destroy(),
-            Some(count) => *count -= 1,
-            None => {}
-        }
     }
 }

@@ -4,8 +4,7 @@ use anyhow::{Result, ensure};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_method::Step;
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
 use ffgs_trainer::{Epochs, LossRegion, PhotometricLoss, SkyView};
 

@@ -5,7 +5,7 @@ use ffgs_core::{
     StageLog, TrainingView,
 };
 use ffgs_method::{MotionMethod, Step};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_testkit::{conformance, look_at};
 use ffgs_trainer::SkyView;
 use glam::{DVec3, Vec3};

@@ -125,7 +125,7 @@ fn basis(d: DVec3) -> SVector<f64, BASIS> {
 mod tests {
     use super::*;
     use ffgs_core::{Camera, ImageSize, Intrinsics};
-    use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+    use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
     use glam::{DMat3, DMat4};
 
     /// A camera that turns with the scene sees the same picture.

@@ -5,7 +5,7 @@ use anyhow::{Context, Result};
 use ffgs_core::ImageRgb8;
 use ffgs_method::{Split, ViewAt};
 use ffgs_pipeline::{registry::open_capture, scoring::write_png};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use std::path::Path;
 
 fn main() -> Result<()> {

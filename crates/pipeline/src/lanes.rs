@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
     BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, Progress,

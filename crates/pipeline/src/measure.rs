@@ -6,7 +6,7 @@ use anyhow::Result;
 use ffgs_core::{Gaussians, Mask, PlanarImage, Scene, TrainingView};
 use ffgs_method::Capture;
 use ffgs_metrics::mpsnr;
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_splats::Panorama;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};

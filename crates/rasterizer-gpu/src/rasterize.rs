@@ -110,7 +110,7 @@ impl<'a> GpuRasterizer<'a> {
         }
     }
 
-    /// Renders and differentiates; derivatives as [`ffgs_rasterizer::DifferentiableRasterizer::backward`] gives them,
+    /// Renders and differentiates; derivatives as [`ffgs_rasterizer::CpuRasterizer::backward`] gives them,
     /// but overwriting `out`.
     pub fn render_and_differentiate(
         &mut self,

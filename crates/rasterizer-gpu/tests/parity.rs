@@ -3,8 +3,7 @@
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, Mask, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, TileMask, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
 };
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Rendered};
 use glam::{DMat4, EulerRot};

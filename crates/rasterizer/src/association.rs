@@ -3,11 +3,11 @@
 
 use crate::blend::TilePlane;
 use crate::chunks::ChunkBounds;
-use crate::contract::{Background, RenderOptions, View};
 use crate::cpu::CpuRasterizer;
 use crate::footprint::{EntrySums, PixelChannels, Summed};
 use crate::tape::RenderTape;
 use crate::tiles::TileMask;
+use crate::view::{Background, RenderOptions, View};
 use ffgs_core::{Camera, DenseMotion, Gaussians, Mask};
 use glam::{DVec2, DVec3};
 use std::ops::Range;

@@ -1,22 +1,20 @@
 //! The backward pass over tiles: from pixel derivatives to derivatives per (tile, splat) entry.
 
 use crate::blend::{AREA, Contribution, MAX_ALPHA, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
-use crate::contract::{DifferentiableRasterizer, View};
-use crate::cpu::{CpuRasterizer, tile_origin};
+use crate::cpu::CpuRasterizer;
 use crate::gradients::{Gradients, PixelGradients};
 use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
-use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
-use crate::tile_lists::Entry;
+use crate::tape::{ENTRY, RenderTape, TilePixels, for_each_pixel, gather};
+use crate::tile_lists::{Entry, for_each_tile_slice};
+use crate::view::View;
 use ffgs_core::{Gaussians, instructions};
 use pulp::{Simd, WithSimd};
 
-/// Number of sums per entry: derivatives with respect to mean x, y; second moments of the derivative with respect to the
-/// exponent, about the ridge (e^2, e dy, dy^2); derivatives with respect to opacity; colour r, g, b.
-pub(crate) const ENTRY: usize = 9;
-
-impl DifferentiableRasterizer for CpuRasterizer {
-    fn backward(
+impl CpuRasterizer {
+    /// Adds to `out` the derivatives of a loss whose derivative with respect to the image (and transmittance) of
+    /// `tape` is `upstream`. `gaussians` and `view` are those of the `render` call that filled `tape`.
+    pub fn backward(
         &self,
         gaussians: &Gaussians,
         view: &View,
@@ -41,37 +39,9 @@ fn differentiate_tiles(view: &View, tape: &mut RenderTape, upstream: &PixelGradi
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len()];
             let input = TileUpstream::new(view, *grid, tile, &pixels[tile], upstream);
-            arch.dispatch(TileBackward { origin: tile_origin(tile, *grid), splats, slots, input, entries });
+            arch.dispatch(TileBackward { origin: grid.origin(tile), splats, slots, input, entries });
         }
     });
-}
-
-/// Runs `f(tile, its slice of values)` in parallel without allocating: halves the tile range recursively.
-pub(crate) fn for_each_tile_slice<T: Send>(
-    starts: &[u32],
-    values: &mut [T],
-    f: &(impl Fn(usize, &mut [T]) + Sync),
-) {
-    fn recurse<T: Send>(
-        starts: &[u32],
-        first: usize,
-        values: &mut [T],
-        f: &(impl Fn(usize, &mut [T]) + Sync),
-    ) {
-        let tiles = starts.len() - 1;
-        if tiles == 1 {
-            return f(first, values);
-        }
-        let middle = tiles / 2;
-        let (left, right) = values.split_at_mut((starts[middle] - starts[0]) as usize);
-        rayon::join(
-            || recurse(&starts[..=middle], first, left, f),
-            || recurse(&starts[middle..], first + middle, right, f),
-        );
-    }
-    if starts.len() > 1 {
-        recurse(starts, 0, values, f);
-    }
 }
 
 fn add_background(view: &View, tape: &RenderTape, upstream: &PixelGradients, out: &mut [f64; 3]) {
@@ -220,8 +190,8 @@ impl<S: Simd> Visitor<S> for Differentiate<'_, S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contract::{Background, RenderOptions};
     use crate::cpu::BlendTile;
+    use crate::view::{Background, RenderOptions};
     use ffgs_core::{Camera, ImageSize, Intrinsics, PlanarImage};
     use ffgs_testkit::vectorised;
 
@@ -254,7 +224,7 @@ mod tests {
         for tile in 0..tape.grid.count() {
             let (start, end) = (tape.lists.starts[tile] as usize, tape.lists.starts[tile + 1] as usize);
             let (slots, splats) = (&tape.lists.slots[start..end], &tape.splats[..]);
-            let (origin, mut pixels) = (tile_origin(tile, tape.grid), TilePixels::default());
+            let (origin, mut pixels) = (tape.grid.origin(tile), TilePixels::default());
             let mut entries = vec![[0.0; ENTRY]; slots.len()];
             vectorised(set, BlendTile { origin, splats, slots, out: &mut pixels })?;
             let input = TileUpstream::new(&view, tape.grid, tile, &pixels, &upstream);

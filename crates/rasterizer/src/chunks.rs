@@ -1,12 +1,14 @@
 //! Chunks of Gaussians that a view cannot show are not projected.
 
-use crate::cpu::CHUNK;
 use crate::elementary::exp;
 use crate::projection::{MAX_REACH, NEAR, PIXEL_FILTER, PinholeF32};
 use crate::tiles::{TileGrid, TileMask, tile_range};
 use ffgs_core::Gaussians;
 use glam::DVec3;
 use rayon::prelude::*;
+
+/// Gaussians projected as one unit of parallel work.
+pub(crate) const CHUNK: usize = 1024;
 
 /// Where chunks of consecutive Gaussians lie. Worth making once for many views, where neighbours in memory are neighbours
 /// in space.
@@ -100,9 +102,9 @@ impl PinholeF32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contract::{Background, RenderOptions, View};
     use crate::cpu::CpuRasterizer;
     use crate::tape::RenderTape;
+    use crate::view::{Background, RenderOptions, View};
     use ffgs_core::{Camera, ImageSize, Intrinsics, Mask};
     use glam::DMat4;
 

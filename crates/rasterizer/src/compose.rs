@@ -1,8 +1,8 @@
 //! From tiles to the row-major image.
 
-use crate::contract::{Background, View};
 use crate::tape::{RenderTape, TilePixels};
 use crate::tiles::{TILE, TileGrid};
+use crate::view::{Background, View};
 use ffgs_core::ImageSize;
 use rayon::prelude::*;
 

@@ -2,19 +2,18 @@
 
 use crate::blend::{Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::block::{BLOCK, Block, Projected};
-use crate::chunks::ChunkBounds;
+use crate::chunks::{CHUNK, ChunkBounds};
 use crate::compose::compose;
-use crate::contract::{Rasterizer, RenderOptions, View};
+use crate::coverage::cover;
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
 use crate::tile_lists::Entry;
-use crate::tiles::{TILE, TileGrid, TileMask, cover};
+use crate::tiles::{TileGrid, TileMask};
+use crate::view::{RenderOptions, View};
 use ffgs_core::{Gaussians, instructions};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Gaussians projected as one unit of parallel work.
-pub(crate) const CHUNK: usize = 1024;
 /// Chunks a thread that are projected before they are appended: enough to share out evenly, few enough to stay in cache.
 const CHUNKS_AHEAD: usize = 8;
 
@@ -28,6 +27,18 @@ impl CpuRasterizer {
     /// A rasterizer with these options.
     pub fn new(options: RenderOptions) -> Self {
         Self { options }
+    }
+
+    /// Renders one view into `tape`, which keeps the image, the transmittance and what the backward pass needs.
+    pub fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
+        self.prepare(gaussians, view, tape);
+        let arch = instructions();
+        let RenderTape { pixels, lists, splats, grid, .. } = tape;
+        pixels.par_iter_mut().enumerate().for_each(|(tile, out)| {
+            let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
+            arch.dispatch(BlendTile { origin: grid.origin(tile), splats, slots, out });
+        });
+        compose(view, tape);
     }
 
     /// Projects, sorts and deals to tiles: everything before blending.
@@ -145,24 +156,6 @@ impl Projection<'_> {
             out.splats.push(splat);
         }
     }
-}
-
-impl Rasterizer for CpuRasterizer {
-    fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
-        self.prepare(gaussians, view, tape);
-        let arch = instructions();
-        let RenderTape { pixels, lists, splats, grid, .. } = tape;
-        pixels.par_iter_mut().enumerate().for_each(|(tile, out)| {
-            let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-            arch.dispatch(BlendTile { origin: tile_origin(tile, *grid), splats, slots, out });
-        });
-        compose(view, tape);
-    }
-}
-
-/// First pixel of a tile.
-pub(crate) fn tile_origin(tile: usize, grid: TileGrid) -> [usize; 2] {
-    [tile % grid.columns * TILE, tile / grid.columns * TILE]
 }
 
 /// Projects the chunks with these numbers.

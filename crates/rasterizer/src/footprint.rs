@@ -1,15 +1,14 @@
 //! Sums over the pixels that a Gaussian covers.
 
-use crate::backward::for_each_tile_slice;
 use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
 use crate::chunks::ChunkBounds;
-use crate::contract::View;
-use crate::cpu::{CpuRasterizer, tile_origin};
+use crate::cpu::CpuRasterizer;
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_row};
-use crate::tile_lists::Entry;
+use crate::tile_lists::{Entry, for_each_tile_slice};
 use crate::tiles::TileGrid;
 use crate::top_contributors::Heaviest;
+use crate::view::View;
 use ffgs_core::{Gaussians, ImageSize, instructions};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
@@ -120,7 +119,7 @@ impl CpuRasterizer {
             let start = lists.starts[tile] as usize;
             let slots = &lists.slots[start..start + entries.len() / width];
             let (planes, open) = gather_channels(size, *grid, tile, channels);
-            let origin = tile_origin(tile, *grid);
+            let origin = grid.origin(tile);
             if channels.contributors() > 0 {
                 let count = channels.contributors().min(slots.len());
                 let mut heaviest = Heaviest::default();

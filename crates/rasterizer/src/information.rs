@@ -6,15 +6,14 @@
 //! their squared derivatives are sums of `E`, `E u u` and `E u u u u`: ten numbers per (tile, splat) hold everything.
 //! What passes through the viewing direction, and through the projection's Jacobian at another depth, is left out.
 
-use crate::backward::for_each_tile_slice;
 use crate::blend::{AREA, Contribution, MAX_ALPHA, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
-use crate::contract::View;
-use crate::cpu::{CpuRasterizer, tile_origin};
+use crate::cpu::CpuRasterizer;
 use crate::elementary::sigmoid;
 use crate::projection::{self, Ewa, Filtered, PinholeF32, Ridge, Splat};
 use crate::spherical_harmonics as sh;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
-use crate::tile_lists::Entry;
+use crate::tile_lists::{Entry, for_each_tile_slice};
+use crate::view::View;
 use ffgs_core::{Gaussians, instructions, sh_coefficients};
 use glam::{DMat3, DVec2, DVec3};
 use pulp::{Simd, WithSimd};
@@ -114,14 +113,7 @@ fn square_tiles(view: &View, tape: &RenderTape, weights: &[f32], first: usize) -
         if slots.iter().any(|entry| splats[entry.slot()].index as usize >= first) {
             let behind = shown(view, *grid, tile, &pixels[tile]);
             let sure = gather(view.camera.size(), *grid, tile, weights);
-            arch.dispatch(SquareTile {
-                origin: tile_origin(tile, *grid),
-                splats,
-                slots,
-                behind,
-                sure,
-                entries,
-            });
+            arch.dispatch(SquareTile { origin: grid.origin(tile), splats, slots, behind, sure, entries });
         }
     });
     entries
@@ -362,7 +354,7 @@ impl<'a> Shape<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contract::{Background, Rasterizer, RenderOptions};
+    use crate::view::{Background, RenderOptions};
     use ffgs_core::{Camera, ImageSize, Intrinsics};
 
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };

@@ -1,12 +1,12 @@
 //! Differentiable rasterization of 3D Gaussians on the CPU.
 //!
-//! Projection (EWA), exact tile coverage, a depth sort a tile, blending in 8 or 16 lanes, and a backward pass
+//! Projection (EWA), exact tile coverage, a depth sort per tile, blending in 8 or 16 SIMD lanes, and a backward pass
 //! that walks the same lists front to back. Every result is bit-identical for any number of threads: a tile is one
 //! unit of work, and per-Gaussian sums run over its tiles in a fixed order.
 //!
 //! ```
 //! use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics};
-//! use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+//! use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 //! let size = ImageSize { width: 32, height: 24 };
 //! let intrinsics = Intrinsics { fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
 //! let camera = Camera::new(intrinsics, glam::DMat4::IDENTITY, size).unwrap();
@@ -26,7 +26,7 @@ mod blend;
 mod block;
 mod chunks;
 mod compose;
-mod contract;
+mod coverage;
 mod cpu;
 mod elementary;
 mod footprint;
@@ -40,9 +40,9 @@ mod tape;
 mod tile_lists;
 mod tiles;
 mod top_contributors;
+mod view;
 
 pub use association::{Association, AssociationScene, AssociationScratch, Observed};
-pub use contract::{Background, DifferentiableRasterizer, Rasterizer, RenderOptions, View};
 pub use cpu::CpuRasterizer;
 pub use footprint::FootprintSums;
 pub use gradients::{Gradients, PixelGradients};
@@ -52,3 +52,4 @@ pub use split::{SplitLayers, TileDepths};
 pub use tape::RenderTape;
 pub use tiles::{TILE, TileMask};
 pub use top_contributors::TopContributors;
+pub use view::{Background, RenderOptions, View};

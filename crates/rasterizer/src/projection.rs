@@ -1,8 +1,8 @@
 //! EWA projection of one Gaussian: shared by the forward and the backward pass, which loop over blocks of Gaussians.
 
-use crate::contract::RenderOptions;
 use crate::elementary::{exp, ln, sigmoid};
 use crate::spherical_harmonics;
+use crate::view::RenderOptions;
 use ffgs_core::{Camera, Gaussians, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 

@@ -1,8 +1,8 @@
 //! Split renders of a layer around a depth.
 
-use crate::contract::View;
-use crate::cpu::{BlendTile, CpuRasterizer, tile_origin};
+use crate::cpu::{BlendTile, CpuRasterizer};
 use crate::tape::{RenderTape, TilePixels, for_each_pixel};
+use crate::view::View;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, instructions};
 use rayon::prelude::*;
 
@@ -25,7 +25,7 @@ impl CpuRasterizer {
         pixels.par_iter_mut().zip(&mut out.tiles).enumerate().for_each(|(tile, (front, behind))| {
             let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
             let cut = slots.partition_point(|s| splats[s.slot()].depth < depths.0[tile]);
-            let origin = tile_origin(tile, *grid);
+            let origin = grid.origin(tile);
             arch.dispatch(BlendTile { origin, splats, slots: &slots[..cut], out: front });
             arch.dispatch(BlendTile { origin, splats, slots: &slots[cut..], out: behind });
         });

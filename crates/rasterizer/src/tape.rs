@@ -7,6 +7,10 @@ use crate::tiles::{Span, TILE, TileGrid, TileMask};
 use ffgs_core::{ImageSize, PlanarImage};
 use std::ops::Range;
 
+/// Number of sums per entry: derivatives with respect to mean x, y; second moments of the derivative with respect to the
+/// exponent, about the ridge (e^2, e dy, dy^2); derivatives with respect to opacity; colour r, g, b.
+pub(crate) const ENTRY: usize = 9;
+
 /// Blended colour (without background) and final transmittance of one tile.
 #[derive(Clone, Debug)]
 pub(crate) struct TilePixels {
@@ -42,7 +46,7 @@ pub struct RenderTape {
     /// Tiles that `image` shows.
     pub(crate) drawn: Vec<bool>,
     /// Derivatives per (tile, splat) entry, by its place.
-    pub(crate) entry_gradients: Vec<[f32; 9]>,
+    pub(crate) entry_gradients: Vec<[f32; ENTRY]>,
     /// Splat slot of each Gaussian, or `u32::MAX`.
     pub(crate) slot_of: Vec<u32>,
 }
@@ -124,7 +128,7 @@ pub(crate) fn for_each_row(
     tile: usize,
     mut visit: impl FnMut(Range<usize>, usize),
 ) {
-    let (x0, y0) = (tile % grid.columns * TILE, tile / grid.columns * TILE);
+    let [x0, y0] = grid.origin(tile);
     for y in 0..TILE.min(size.height - y0) {
         let first = (y0 + y) * size.width + x0;
         visit(first..first + TILE.min(size.width - x0), y * TILE);

@@ -3,7 +3,6 @@
 //! Splats come in the order of their Gaussians. One pass counts them by tile while the next ones are projected, a second
 //! deals them to their tiles, and each tile sorts its own list, which fits a cache and needs no other thread.
 
-use crate::backward::for_each_tile_slice;
 use crate::projection::Splat;
 use crate::tiles::{Span, TileGrid, TileMask, for_each_tile};
 
@@ -117,11 +116,39 @@ impl TileLists {
     }
 }
 
+/// Runs `f(tile, its slice of values)` in parallel without allocating: halves the tile range recursively.
+pub(crate) fn for_each_tile_slice<T: Send>(
+    starts: &[u32],
+    values: &mut [T],
+    f: &(impl Fn(usize, &mut [T]) + Sync),
+) {
+    fn recurse<T: Send>(
+        starts: &[u32],
+        first: usize,
+        values: &mut [T],
+        f: &(impl Fn(usize, &mut [T]) + Sync),
+    ) {
+        let tiles = starts.len() - 1;
+        if tiles == 1 {
+            return f(first, values);
+        }
+        let middle = tiles / 2;
+        let (left, right) = values.split_at_mut((starts[middle] - starts[0]) as usize);
+        rayon::join(
+            || recurse(&starts[..=middle], first, left, f),
+            || recurse(&starts[middle..], first + middle, right, f),
+        );
+    }
+    if starts.len() > 1 {
+        recurse(starts, 0, values, f);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::coverage::cover;
     use crate::projection::Extent;
-    use crate::tiles::cover;
     use ffgs_core::ImageSize;
 
     /// Round splats of radius 20 px at scattered places; few depths, so that many are equal.

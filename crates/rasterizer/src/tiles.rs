@@ -1,6 +1,5 @@
-//! Exact coverage of tiles by splats.
+//! Tiles of an image, and which of them are computed.
 
-use crate::projection::{Extent, Splat};
 use ffgs_core::{ImageSize, Mask};
 use std::ops::{Range, RangeInclusive};
 
@@ -61,7 +60,8 @@ impl TileMask {
         !columns.is_empty() && { rows }.any(|row| self.any(Span { row: row as u32, first, end }))
     }
 
-    fn any(&self, span: Span) -> bool {
+    /// Whether any of these tiles is computed.
+    pub(crate) fn any(&self, span: Span) -> bool {
         let row = span.row as usize * self.columns;
         self.active[row + span.first as usize..row + span.end as usize].iter().any(|&a| a)
     }
@@ -82,46 +82,19 @@ impl TileGrid {
     pub(crate) fn count(self) -> usize {
         self.columns * self.rows
     }
+
+    /// First pixel of a tile.
+    pub(crate) fn origin(self, tile: usize) -> [usize; 2] {
+        [tile % self.columns * TILE, tile / self.columns * TILE]
+    }
 }
 
 /// Tiles `first..end` of one tile row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Span {
-    row: u32,
-    first: u32,
-    end: u32,
-}
-
-/// Appends the tiles that a splat's ellipse `sigma <= reach` touches; `false` when none is active.
-#[inline(always)]
-pub(crate) fn cover(
-    splat: &mut Splat,
-    extent: &Extent,
-    grid: TileGrid,
-    mask: Option<&TileMask>,
-    spans: &mut Vec<Span>,
-) -> bool {
-    let start = spans.len();
-    let Splat { mean, half_height, .. } = *splat;
-    let (first_row, last_row) = tile_range(mean[1] - half_height, mean[1] + half_height, grid.rows);
-    let ellipse = Ellipse::new(splat, extent);
-    for row in first_row..=last_row {
-        let (low, high) = if first_row == last_row {
-            // All of its height lies in this row of tiles.
-            (mean[0] - extent.half_width, mean[0] + extent.half_width)
-        } else {
-            ellipse.columns((row as f32 * TILE as f32 + 0.5) - mean[1])
-        };
-        let (first, last) = tile_range(low, high, grid.columns);
-        if first <= last {
-            let span = Span { row: row as u32, first: first as u32, end: last as u32 + 1 };
-            if mask.is_none_or(|m| m.any(span)) {
-                spans.push(span);
-            }
-        }
-    }
-    splat.spans = (start as u32, (spans.len() - start) as u32);
-    spans.len() > start
+    pub(crate) row: u32,
+    pub(crate) first: u32,
+    pub(crate) end: u32,
 }
 
 /// First and last of `count` tiles with a pixel centre in `low..=high` (px); the first comes after the last if none.
@@ -130,44 +103,6 @@ pub(crate) fn tile_range(low: f32, high: f32, count: usize) -> (i32, i32) {
     const SHARE: f32 = 1.0 / TILE as f32;
     let at = |v: f32| ((v - 0.5) * SHARE).max(-1.0).min(count as f32).floor() as i32;
     (at(low).max(0), at(high).min(count as i32 - 1))
-}
-
-/// The outline `sigma = reach`, relative to the splat's centre.
-struct Ellipse {
-    half_height: f32,
-    /// Vertical offset of the rightmost point.
-    tip: f32,
-    slope: f32,
-    reach_over_a: f32,
-    shrink: f32,
-    centre: f32,
-}
-
-impl Ellipse {
-    #[inline(always)]
-    fn new(splat: &Splat, extent: &Extent) -> Self {
-        let ([a, b, _], [xx, xy]) = (splat.conic, extent.covariance);
-        let reach = splat.squared_reach();
-        Self {
-            half_height: splat.half_height,
-            tip: (reach / xx).sqrt() * xy,
-            slope: -b / a,
-            reach_over_a: reach / a,
-            shrink: splat.shrink,
-            centre: splat.mean[0],
-        }
-    }
-
-    /// Horizontal extent (px) over the pixel centres of the row of tiles that begins at the vertical offset `top`.
-    #[inline(always)]
-    fn columns(&self, top: f32) -> (f32, f32) {
-        let bottom = (top + (TILE - 1) as f32).min(self.half_height);
-        let top = top.max(-self.half_height);
-        let bottom = bottom.max(top);
-        let (right, left) = (self.tip.max(top).min(bottom), (-self.tip).max(top).min(bottom));
-        let half = |dy: f32| (self.reach_over_a - dy * dy * self.shrink).max(0.0).sqrt() + 0.01;
-        (self.centre + self.slope * left - half(left), self.centre + self.slope * right + half(right))
-    }
 }
 
 /// Calls `visit(tile)` for the computed tiles of some spans, in their order.

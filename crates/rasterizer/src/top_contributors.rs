@@ -1,12 +1,12 @@
 //! The K largest contributions of every pixel.
 
 use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
-use crate::contract::View;
-use crate::cpu::{CpuRasterizer, tile_origin};
+use crate::cpu::CpuRasterizer;
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
 use crate::tile_lists::Entry;
 use crate::tiles::TILE;
+use crate::view::View;
 use ffgs_core::{Gaussians, instructions};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -42,7 +42,7 @@ impl CpuRasterizer {
             let mut heaviest = Heaviest::default();
             for tile in row * grid.columns..(row + 1) * grid.columns {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
-                let origin = tile_origin(tile, grid);
+                let origin = grid.origin(tile);
                 heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, &TilePlane::ONE);
                 for_each_pixel(size, grid, tile, |pixel, local| {
                     let first = (pixel - origin[1] * width) * count;

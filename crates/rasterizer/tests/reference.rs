@@ -3,8 +3,7 @@
 use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
 use ffgs_testkit::{largest, largest_difference, relative_difference};
 use glam::DMat4;

@@ -1,9 +1,7 @@
 //! A layer cut in two at a depth per tile is, put together again, the layer.
 
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics};
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, SplitLayers, TileDepths, View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, SplitLayers, TileDepths, View};
 use ffgs_testkit::largest_difference;
 use glam::DMat4;
 

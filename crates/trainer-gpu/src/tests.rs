@@ -10,7 +10,7 @@ use crate::target::{Selection, Target};
 use crate::workspace::{OPTIONS, Workspace, largest_view};
 use ffgs_core::{Mask, PlanarImage, SkyCube};
 use ffgs_gpu::Gpu;
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderTape, TileMask, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuScene, Ledger, count_views, deal, prepare};
 use ffgs_trainer::{
     Adam, Columns, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise, Prior, TaskView, Update,

@@ -2,7 +2,7 @@
 
 use crate::background::SkyBehind;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, Information, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderOptions, RenderTape, View};
 
 /// Longest distance at which errors of pixels are compared (px).
 const MAX_LAG: usize = 6;

@@ -4,7 +4,7 @@ use crate::backend::{SkyTask, SkyTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use std::sync::Arc;
 
 /// Pixels that let more than this through show the sky.

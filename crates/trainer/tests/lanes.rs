@@ -4,7 +4,7 @@
 use ffgs_core::{
     Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
 };
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer::{
     BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LossRegion, Photographed,
     PhotometricLoss, SkyView, StaticLane, StaticMethod, Surroundings, robust_extent, train_dynamic,

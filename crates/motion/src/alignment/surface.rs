@@ -3,7 +3,7 @@
 use ffgs_core::{Camera, Gaussians, PlanarImage, TrainingView};
 use ffgs_fusion::Groups;
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, TileMask, TopContributors, View,
+    Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, TopContributors, View,
 };
 use glam::{DVec2, DVec3};
 

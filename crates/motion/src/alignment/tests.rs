@@ -3,7 +3,7 @@
 use super::photograph::Patch;
 use super::*;
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_testkit::look_at;
 use glam::DVec2;
 

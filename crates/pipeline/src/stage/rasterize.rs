@@ -6,8 +6,7 @@ use anyhow::{Context, Result, ensure};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{Camera, Gaussians, ImageSize, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
 use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
 

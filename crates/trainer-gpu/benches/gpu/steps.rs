@@ -5,7 +5,7 @@ use crate::scene::{camera, contributions, discs, training_view};
 use anyhow::{Context, Result};
 use ffgs_core::{ImageSize, Mask};
 use ffgs_gpu::Gpu;
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer_gpu::{Counts, Floor, Part, Probe};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -3,7 +3,7 @@
 use ffgs_core::{
     Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
 };
-use ffgs_rasterizer::{Background, CpuRasterizer, Information, Rasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderOptions, RenderTape, View};
 use ffgs_trainer::SkyView;
 use glam::{DMat3, DMat4, DVec3};
 use rand::{Rng, SeedableRng};

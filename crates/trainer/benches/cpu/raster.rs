@@ -4,8 +4,7 @@ use crate::scene::{camera, contributions, discs, pool};
 use criterion::{BenchmarkId, Criterion, Throughput};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, PlanarImage};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, PixelGradients, Rasterizer,
-    RenderOptions, RenderTape, View,
+    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
 use ffgs_trainer::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use std::io::Write;

@@ -4,9 +4,7 @@
 use ffgs_core::{
     Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, TrainingView, logit,
 };
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, FootprintSums, Rasterizer, RenderOptions, RenderTape, TileMask, View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, TileMask, View};
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

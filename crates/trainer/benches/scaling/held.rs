@@ -3,7 +3,7 @@
 use crate::scene::camera;
 use ffgs_core::{Camera, Gaussians, ImageSize};
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, TileMask, TopContributors, View,
+    Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, TopContributors, View,
 };
 
 /// Parameters of a Gaussian with SH of degree 3: position 3, rotation 4, scales 3, opacity 1, colour 48.

@@ -4,9 +4,7 @@
 use crate::backend::{CutLayers, TaskView};
 use crate::background::SkyBehind;
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, Rasterizer, RenderTape, SplitLayers, TileDepths, TileMask, View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, SplitLayers, TileDepths, TileMask, View};
 use rayon::prelude::*;
 use std::ops::Range;
 

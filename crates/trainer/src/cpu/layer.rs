@@ -7,10 +7,7 @@ use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, DifferentiableRasterizer, Gradients, Rasterizer, RenderOptions, RenderTape,
-    View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
 

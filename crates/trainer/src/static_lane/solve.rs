@@ -10,7 +10,7 @@ use super::trace::ViewTrace;
 use crate::background::{BackgroundConfig, SkyBehind, outside};
 use crate::view::{Progress, Running};
 use ffgs_core::{Gaussians, PlanarImage, SkyCube, TrainingView, sh_coefficients};
-use ffgs_rasterizer::{Background, CpuRasterizer, Rasterizer, RenderOptions, RenderTape, View, sh_basis};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
 use glam::Vec3;
 use rayon::prelude::*;
 

@@ -1,7 +1,5 @@
-use crate::gradients::{Gradients, PixelGradients};
-use crate::tape::RenderTape;
 use crate::tiles::TileMask;
-use ffgs_core::{Camera, Gaussians, PlanarImage};
+use ffgs_core::{Camera, PlanarImage};
 
 /// What shows where the Gaussians leave transmittance.
 #[derive(Clone, Copy, Debug)]
@@ -40,24 +38,4 @@ pub struct RenderOptions {
     pub antialiased: bool,
     /// SH degree to evaluate; `None` = the Gaussians' own. Lower while colours are still coarse.
     pub sh_degree: Option<usize>,
-}
-
-/// Renders Gaussians.
-pub trait Rasterizer: Sync {
-    /// Renders one view into `tape`, which keeps the image, the transmittance and what the backward pass needs.
-    fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape);
-}
-
-/// Renders Gaussians and differentiates the image.
-pub trait DifferentiableRasterizer: Rasterizer {
-    /// Adds to `out` the derivatives of a loss whose derivative with respect to the image (and transmittance) of
-    /// `tape` is `upstream`. `gaussians` and `view` are those of the `render` call that filled `tape`.
-    fn backward(
-        &self,
-        gaussians: &Gaussians,
-        view: &View,
-        tape: &mut RenderTape,
-        upstream: &PixelGradients,
-        out: &mut Gradients,
-    );
 }
