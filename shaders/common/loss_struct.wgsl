@@ -1,4 +1,4 @@
-// What the kernels of the loss know of a view. Host side: `LossUniform` in trainer-gpu.
+// The kernels' description of a view's loss. Host side: `LossUniform` in trainer-gpu.
 
 struct Loss {
     size: vec2u,

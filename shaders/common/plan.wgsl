@@ -7,7 +7,7 @@ const PLAN_NEEDED_PAIRS: u32 = 2u; // pairs there would be with room for all
 const PLAN_NEEDED_SPANS: u32 = 3u; // spans likewise
 const PLAN_SORT: u32 = 4u;         // groups of the sort over pairs: x, y, z
 const PLAN_SCAN: u32 = 7u;         // groups of the scan over its histogram: x, y, z
-const PLAN_EACH: u32 = 10u;        // groups of a kernel with 256 pairs a group: x, y, z
+const PLAN_EACH: u32 = 10u;        // groups of a kernel with 256 pairs per group: x, y, z
 
 // Elements of one block of the scan and of the sort.
 const BLOCK: u32 = 1024u;

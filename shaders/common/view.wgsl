@@ -57,7 +57,7 @@ struct Splat {
 
 // Side of a square tile (px).
 const TILE: u32 = 16u;
-// Pixels a tile.
+// Pixels per tile.
 const AREA: u32 = 256u;
 // Contributions below this opacity are skipped.
 const MIN_ALPHA: f32 = 1.0 / 255.0;

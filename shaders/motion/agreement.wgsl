@@ -1,5 +1,9 @@
 // Scales the confidences at a pixel by how far the trackers agree: Algorithm 1, line 12.
-// CPU twin: voronoi/src/agreement.rs. Floor: 20 B a pixel and tracker; about 10 operations a pixel and pair of trackers.
+// Floor: 20 B per pixel and tracker; about 10 operations per pixel and pair of trackers.
+//
+// twin: voronoi::agreement::agreement
+// test: motion-gpu/tests/parity.rs::agreement_agrees_for_one_to_three_trackers
+// bench: none
 
 @group(0) @binding(0) var<uniform> job: Fields;
 // Per tracker and masked pixel: flow (px), visibility, confidence.

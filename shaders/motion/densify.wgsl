@@ -1,6 +1,10 @@
-// Gaussian-weighted K nearest tracks at every masked pixel: Algorithm 2. All tracks are looked at; invocations of a group
-// read the same one at the same time. CPU twin: voronoi/src/gaussian_knn.rs.
-// Floor: 20 B a pixel; about 8 operations a pixel and track.
+// Gaussian-weighted K nearest tracks at every masked pixel: Algorithm 2. All tracks are looked at; invocations of a
+// group read the same one at the same time.
+// Floor: 20 B per pixel; about 8 operations per pixel and track.
+//
+// twin: voronoi::gaussian_knn::GaussianKnn
+// test: motion-gpu/tests/parity.rs::densification_agrees_for_any_number_of_tracks_and_neighbours
+// bench: none
 
 struct Densify {
     // Masked pixels, tracks, and neighbours K (at most MOST_NEIGHBOURS).

@@ -1,6 +1,10 @@
-// What association sums over a Gaussian's footprint, as planes of the image: the mask, and per tracker whether it knows a
-// motion, flow x, flow y where it does, and the weight. The planes hold zeros before. CPU twin: `associate` in
-// pipeline/src/motion.rs. Floor: 16 B read and 16 B written a pixel and tracker.
+// What association sums over a Gaussian's footprint, as planes of the image: the mask, and per tracker whether it
+// knows a motion, flow x, flow y where it does, and the weight. The planes hold zeros before.
+// Floor: 16 B read and 16 B written per pixel and tracker.
+//
+// twin: rasterizer::association::Association
+// test: motion-gpu/tests/parity.rs::planes_hold_what_association_sums
+// bench: none
 
 @group(0) @binding(0) var<uniform> job: Fields;
 // Masked pixels, row-major numbers.

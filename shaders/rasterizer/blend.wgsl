@@ -1,5 +1,10 @@
-// Blends each tile's splats into the image. CPU twin: rasterizer/src/cpu.rs (`BlendTile`, `compose`).
-// Floor: 8 B a pair and 48 B a pair through the cache, 20 B a pixel written; about 20 operations a pair and pixel.
+// Blends each tile's splats into the image.
+// Floor: 8 B per pair and 48 B per pair through the cache, 20 B per pixel written; about 20 operations per pair and
+// pixel.
+//
+// twin: rasterizer::blend::walk
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/blend
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;

@@ -1,5 +1,9 @@
 // Derivatives per (tile, splat) entry, sums through shared memory: for adapters without subgroup operations.
-// Floor: 56 B read and 36 B written a pair, 40 B a pixel; about 50 operations a pair and pixel.
+// Floor: 56 B read and 36 B written per pair, 40 B per pixel; about 50 operations per pair and pixel.
+//
+// twin: rasterizer::backward::TileBackward
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: gpu/backward
 
 @compute @workgroup_size(64)
 fn blend_backward(

@@ -1,6 +1,10 @@
-// Blends each tile in two parts, nearer than a depth and the rest, and stores them as the layers in front of and behind
-// what will be trained between them (docs/adr/0003). The layers hold the background on entry.
-// CPU twin: rasterizer/src/footprint.rs (`render_split`). Floor: as `blend`, and 64 B a pixel.
+// Blends each tile in two parts, nearer than a depth and the rest, and stores them as the layers in front of and
+// behind what will be trained between them (docs/adr/0003). The layers hold the background on entry.
+// Floor: as `blend`, and 64 B per pixel.
+//
+// twin: rasterizer::split::SplitLayers
+// test: trainer-gpu/tests/gpu_lanes.rs::the_dynamic_lane_agrees_and_a_step_reads_nothing_back
+// bench: gpu/dynamic_lane
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;

@@ -1,5 +1,9 @@
-// Counts the views in which each Gaussian touches a computed tile. CPU twin: `RenderTape::visible_indices`.
-// Floor: 20 B a Gaussian.
+// Counts the views in which each Gaussian touches a computed tile.
+// Floor: 20 B per Gaussian.
+//
+// twin: rasterizer::tape::visible_indices
+// test: trainer-gpu/src/tests.rs::views_that_see_a_gaussian_are_counted_as_on_the_cpu
+// bench: gpu/dynamic_lane
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> extents: array<vec4u>;

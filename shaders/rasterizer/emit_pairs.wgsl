@@ -1,5 +1,9 @@
 // Writes the (tile slot, entry) pairs of each splat, splats in depth order: entries of one splat are neighbours.
-// Floor: 12 B a pair.
+// Floor: 12 B per pair.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/emit_pairs
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> order: array<vec2u>;

@@ -1,4 +1,9 @@
-// Footprint sums by subgroup operations. Floor: 56 B read and 36 B written a pair, 4 B a pixel and channel.
+// Footprint sums by subgroup operations.
+// Floor: 56 B read and 36 B written per pair, 4 B per pixel and channel.
+//
+// twin: rasterizer::footprint::EntrySums
+// test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
+// bench: none
 
 @compute @workgroup_size(64)
 fn footprint_subgroups(

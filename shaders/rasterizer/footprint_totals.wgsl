@@ -1,4 +1,9 @@
-// Sums each Gaussian's footprint over its tiles, in the order of its entries. Floor: 36 B a pair, 52 B a Gaussian.
+// Sums each Gaussian's footprint over its tiles, in the order of its entries.
+// Floor: 36 B per pair, 52 B per Gaussian.
+//
+// twin: rasterizer::footprint::FootprintSums
+// test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
+// bench: none
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> extents: array<vec4u>;

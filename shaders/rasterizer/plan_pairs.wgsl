@@ -1,4 +1,8 @@
 // How many pairs there are, and the dispatch sizes of every kernel that works on them.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/plan_pairs
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> spans_used: array<u32>;

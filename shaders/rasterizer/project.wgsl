@@ -1,7 +1,11 @@
-// Projects Gaussians, colours them, and finds the tiles that each one touches: exactly, row by row, once. Later kernels
-// read the spans that are stored here and never decide again.
-// CPU twin: rasterizer/src/projection.rs and tiles.rs. Floor a Gaussian: 48 B read, 72 B written, and 12 B an SH
-// coefficient and 4 B a tile row for those in sight; about 400 operations.
+// Projects Gaussians, colours them, and finds the tiles that each one touches: exactly, row by row, once. Later
+// kernels read the spans that are stored here and never decide again.
+// Floor per Gaussian: 48 B read, 72 B written, and 12 B per SH coefficient and 4 B per tile row for those in sight;
+// about 400 operations.
+//
+// twin: rasterizer::block::Block
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/project
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<Geometry>;

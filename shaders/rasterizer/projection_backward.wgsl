@@ -1,6 +1,11 @@
-// From derivatives per entry to derivatives of the Gaussians' parameters: sums each splat's entries in their order and
-// goes back through the projection. CPU twin: rasterizer/src/projection_backward.rs.
-// Floor: 36 B a pair; 64 B read and 64 B written a Gaussian in sight, and 36 B an SH coefficient; about 900 operations.
+// From derivatives per entry to derivatives of the Gaussians' parameters: sums each splat's entries in their order
+// and goes back through the projection.
+// Floor: 36 B per pair; 64 B read and 64 B written per Gaussian in sight, and 36 B per SH coefficient; about 900
+// operations.
+//
+// twin: rasterizer::projection_backward::to_parameters
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/projection_backward
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<Geometry>;

@@ -1,5 +1,9 @@
 // Numbers of tile pairs in depth order, to be summed into places; and empty ranges for all tiles.
-// Floor: 28 B a Gaussian.
+// Floor: 28 B per Gaussian.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/rank_counts
 
 @group(0) @binding(0) var<uniform> view: View;
 // (depth, Gaussian), nearest first.

@@ -1,5 +1,9 @@
 // Sums of blocks of 1024 values: first of three kernels of an exclusive prefix sum of any length.
-// Floor: 4 B read a value.
+// Floor: 4 B read per value.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/src/encode.rs::the_radix_sort_is_the_standard_stable_sort
+// bench: kernel/scan_blocks
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> plan: array<u32>;

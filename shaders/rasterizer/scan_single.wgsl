@@ -1,5 +1,9 @@
 // Exclusive prefix sum by one workgroup: for short lists, where three kernels would cost more than they share out.
-// Floor: 8 B a value.
+// Floor: 8 B per value.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/src/encode.rs::the_radix_sort_is_the_standard_stable_sort
+// bench: kernel/scan_single
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> plan: array<u32>;

@@ -1,5 +1,9 @@
 // Exclusive prefix sum of the block sums, by one workgroup; the grand total follows behind the last block.
-// Floor: 8 B a block of 1024 values.
+// Floor: 8 B per block of 1024 values.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/src/encode.rs::the_radix_sort_is_the_standard_stable_sort
+// bench: kernel/scan_spine
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> plan: array<u32>;

@@ -1,5 +1,9 @@
 // Histogram of one 4-bit digit per block of 1024 pairs: first half of a stable radix sort's pass.
-// Floor: 4 B a pair (the key).
+// Floor: 4 B per pair (the key).
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/src/encode.rs::the_radix_sort_is_the_standard_stable_sort
+// bench: kernel/sort_count
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> plan: array<u32>;

@@ -1,7 +1,11 @@
-// Moves each pair to its place by one 4-bit digit: second half of a stable radix sort's pass.
-// Inside a block of 1024 pairs an invocation owns four consecutive ones. Sixteen counters per invocation, two to a
-// word, are summed over the invocations before it: no subgroup operations, three barriers.
-// Floor: 16 B a pair.
+// Moves each pair to its place by one 4-bit digit: second half of a stable radix sort's pass. Inside a block of 1024
+// pairs an invocation owns four consecutive ones. Sixteen counters per invocation, two to a word, are summed over the
+// invocations before it: no subgroup operations, three barriers.
+// Floor: 16 B per pair.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/src/encode.rs::the_radix_sort_is_the_standard_stable_sort
+// bench: kernel/sort_scatter
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> plan: array<u32>;

@@ -1,6 +1,10 @@
-// The nearest depth in each tile of what was dealt last; a tile without any takes the nearest of the closest tiles that
-// have some, so that a layer which grows a little stays in front of what is behind it.
-// CPU twin: rasterizer/src/footprint.rs (`TileDepths::nearest`). Floor: 68 B a tile.
+// The nearest depth in each tile of what was dealt last; a tile without any takes the nearest of the closest tiles
+// that have some, so that a layer which grows a little stays in front of what is behind it.
+// Floor: 68 B per tile.
+//
+// twin: rasterizer::split::TileDepths
+// test: trainer-gpu/tests/gpu_lanes.rs::the_dynamic_lane_agrees_and_a_step_reads_nothing_back
+// bench: gpu/dynamic_lane
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;

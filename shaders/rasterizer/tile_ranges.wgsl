@@ -1,5 +1,9 @@
 // Where each tile's list starts and ends, and the list itself as (entry, Gaussian).
-// Floor: 20 B a pair.
+// Floor: 20 B per pair.
+//
+// twin: rasterizer::tile_lists::TileLists
+// test: rasterizer-gpu/tests/parity.rs::random_scenes_agree
+// bench: kernel/tile_ranges
 
 @group(0) @binding(0) var<storage, read> plan: array<u32>;
 // Sorted by slot; inside a slot nearest first.

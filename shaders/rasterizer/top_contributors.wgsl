@@ -1,5 +1,9 @@
 // The K largest contributions of every pixel, heaviest first; of equal ones the one in front comes first.
-// CPU twin: rasterizer/src/top_contributors.rs. Floor: as `blend`, and 8 B an entry of the result.
+// Floor: as `blend`, and 8 B per entry of the result.
+//
+// twin: rasterizer::top_contributors::TopContributors
+// test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
+// bench: none
 
 @group(0) @binding(0) var<uniform> view: View;
 // K, at most 16.

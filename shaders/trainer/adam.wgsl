@@ -1,5 +1,9 @@
-// One step of Adam over a column set of `width` values an item, for the items that the step's views saw.
-// CPU twin: trainer/src/adam.rs. Floor: 28 B a value of those items.
+// One step of Adam over a column set of `width` values per item, for the items that the step's views saw.
+// Floor: 28 B per value of those items.
+//
+// twin: trainer::adam::Adam
+// test: trainer-gpu/src/tests.rs::steps_of_the_optimiser_agree
+// bench: kernel/adam
 
 struct Adam {
     items: u32,

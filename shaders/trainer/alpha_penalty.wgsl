@@ -1,8 +1,12 @@
 // Derivative of a penalty on what the trained layer covers outside the loss's region, by its transmittance.
-// Floor: 32 B a pixel.
+// Floor: 32 B per pixel.
+//
+// twin: trainer::cpu::cut::penalty
+// test: trainer-gpu/tests/gpu_lanes.rs::the_dynamic_lane_agrees_and_a_step_reads_nothing_back
+// bench: gpu/dynamic_lane
 
 @group(0) @binding(0) var<uniform> view: View;
-// Weight of the penalty a pixel.
+// Weight of the penalty per pixel.
 @group(0) @binding(1) var<uniform> weight: vec4f;
 @group(0) @binding(2) var<storage, read> slots: array<vec4u>;
 @group(0) @binding(3) var<storage, read> region: array<u32>;

@@ -1,5 +1,10 @@
-// Adam's moments after a round of density control, a row of `width` values a Gaussian: kept ones keep theirs, new ones
-// start at zero. CPU twin: `Adam::remap` in trainer/src/adam.rs. Floor: 8 B a value and 4 B a Gaussian.
+// Adam's moments after a round of density control, a row of `width` values per Gaussian: kept ones keep theirs, new
+// ones start at zero.
+// Floor: 8 B per value and 4 B per Gaussian.
+//
+// twin: trainer::adam::remap
+// test: trainer-gpu/src/tests.rs::moments_are_carried_over_a_round_of_density_control
+// bench: gpu/round_trip
 
 struct Carry {
     // Rows after the round, and values of a row.

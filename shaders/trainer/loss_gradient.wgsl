@@ -1,5 +1,9 @@
 // Filters the derivatives back and adds the L1 term: second of two kernels of the loss.
-// Floor: 70 B read and 12 B written a pixel; about 100 operations a pixel and channel.
+// Floor: 70 B read and 12 B written per pixel; about 100 operations per pixel and channel.
+//
+// twin: trainer::loss::block::Gradient
+// test: trainer-gpu/src/tests.rs::the_loss_and_its_gradient_agree
+// bench: kernel/loss_gradient
 
 @group(0) @binding(0) var<uniform> loss: Loss;
 @group(0) @binding(1) var<storage, read> slots: array<vec4u>;
@@ -8,10 +12,10 @@
 @group(0) @binding(4) var<storage, read> pixels: array<vec4f>;
 @group(0) @binding(5) var<storage, read> partials: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;
-// Row-major, four a pixel: derivatives by R, G, B and by the transmittance (0).
+// Row-major, four per pixel: derivatives by R, G, B and by the transmittance (0).
 @group(0) @binding(7) var<storage, read_write> upstream: array<f32>;
 
-// Three values an entry; as vec3f they would take the room of four.
+// Three values per entry; as vec3f they would take the room of four.
 var<workgroup> maps: array<f32, 2028>;
 var<workgroup> rows: array<f32, 1248>;
 

@@ -1,6 +1,10 @@
-// SSIM and its derivatives by the window's statistics: first of two kernels of the loss. One workgroup a tile and
+// SSIM and its derivatives by the window's statistics: first of two kernels of the loss. One workgroup per tile and
 // channel; a pixel that does not count shows the photograph, so that windows at the edge see no foreign error.
-// Floor: 22 B read and 48 B written a pixel; about 130 operations a pixel and channel.
+// Floor: 22 B read and 48 B written per pixel; about 130 operations per pixel and channel.
+//
+// twin: trainer::loss::block::Statistics
+// test: trainer-gpu/src/tests.rs::the_loss_and_its_gradient_agree
+// bench: kernel/loss_statistics
 
 @group(0) @binding(0) var<uniform> loss: Loss;
 @group(0) @binding(1) var<storage, read> slots: array<vec4u>;

@@ -1,6 +1,10 @@
-// Adds the derivative of `1/2 d^T Lambda d`, d = change since the start, to the gradient of the step: the SH coefficients
-// of the Gaussians that the step's view saw, shared out over the views that see each.
-// CPU twin: `Penalty` in trainer/src/prior.rs. Floor: 20 B a value of those Gaussians.
+// Adds the derivative of `1/2 d^T Lambda d`, d = change since the start, to the gradient of the step: the SH
+// coefficients of the Gaussians that the step's view saw, shared out over the views that see each.
+// Floor: 20 B per value of those Gaussians.
+//
+// twin: trainer::prior::Penalty
+// test: trainer-gpu/src/tests.rs::the_pull_of_the_prior_agrees
+// bench: none
 
 @group(0) @binding(0) var<uniform> prior: Prior;
 @group(0) @binding(1) var<uniform> loss: Loss;

@@ -1,6 +1,10 @@
-// Adds the derivative of `1/2 d^T Lambda d`, d = change since the start, to the gradient of the step: all parameters but
-// the colours, for the Gaussians that the step's view saw, shared out over the views that see each.
-// CPU twin: `Penalty` in trainer/src/prior.rs. Floor: 240 B a Gaussian.
+// Adds the derivative of `1/2 d^T Lambda d`, d = change since the start, to the gradient of the step: all parameters
+// but the colours, for the Gaussians that the step's view saw, shared out over the views that see each.
+// Floor: 240 B per Gaussian.
+//
+// twin: trainer::prior::Penalty
+// test: trainer-gpu/src/tests.rs::the_pull_of_the_prior_agrees
+// bench: none
 
 @group(0) @binding(0) var<uniform> prior: Prior;
 @group(0) @binding(1) var<uniform> loss: Loss;

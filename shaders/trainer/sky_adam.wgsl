@@ -1,4 +1,9 @@
-// One step of Adam for the texels that were seen; clears their derivatives. Floor: 76 B a texel that was seen.
+// One step of Adam for the texels that were seen; clears their derivatives.
+// Floor: 76 B per texel that was seen.
+//
+// twin: trainer::adam::AdamVec
+// test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
+// bench: none
 
 @group(0) @binding(0) var<uniform> sky: Sky;
 @group(0) @binding(1) var<storage, read> corrections: array<vec2f>;

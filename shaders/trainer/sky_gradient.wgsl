@@ -1,6 +1,10 @@
-// Sums what the pixels say of the texels they see, through the transmittance that the Gaussians leave, and weighted by
-// it once more: the error of a hidden pixel is not the sky's.
-// Floor: 32 B read a pixel and 12 atomic additions where the sky shows.
+// Sums what the pixels say of the texels they see, through the transmittance that the Gaussians leave, and weighted
+// by it once more: the error of a hidden pixel is not the sky's.
+// Floor: 32 B read per pixel and 12 atomic additions where the sky shows.
+//
+// twin: trainer::sky::TexelGradients
+// test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
+// bench: none
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> sky: Sky;

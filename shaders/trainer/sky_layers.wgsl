@@ -1,4 +1,9 @@
-// Puts the sky behind the Gaussians of a view, with nothing in front. Floor: 48 B read and 32 B written a pixel.
+// Puts the sky behind the Gaussians of a view, with nothing in front.
+// Floor: 48 B read and 32 B written per pixel.
+//
+// twin: trainer::background::SkyBehind
+// test: trainer-gpu/tests/gpu_lanes.rs::the_static_lane_agrees_and_its_layer_stays_on_the_device
+// bench: gpu/dynamic_lane
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> sky: Sky;

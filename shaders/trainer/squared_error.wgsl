@@ -1,5 +1,9 @@
 // Derivative of half the squared error over the counted pixels: what the sky alone is trained on.
-// Floor: 19 B read and 16 B written a pixel.
+// Floor: 19 B read and 16 B written per pixel.
+//
+// twin: trainer::cpu::sky::residual
+// test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
+// bench: none
 
 @group(0) @binding(0) var<uniform> loss: Loss;
 @group(0) @binding(1) var<storage, read> slots: array<vec4u>;
