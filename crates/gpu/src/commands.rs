@@ -6,12 +6,14 @@ use crate::{Buffer, Gpu, GpuError, Kernel};
 pub enum Groups<'a> {
     /// As many, dealt over two dimensions; a kernel counts them with `linear_group`.
     Direct(u32),
+    /// One invocation per item, in workgroups of the kernel's size.
+    Items(usize),
     /// As the buffer says: three u32 at this byte offset, written by an earlier kernel.
     Indirect(&'a Buffer, u64),
 }
 
 impl Groups<'_> {
-    /// Enough groups of `size` invocations for `items`.
+    /// Enough groups for `items`, of which each takes `size`.
     pub fn of(items: usize, size: usize) -> Self {
         Self::Direct(items.div_ceil(size) as u32)
     }
@@ -34,11 +36,9 @@ impl<'a> Commands<'a> {
     /// Runs `kernel` on `buffers`, in the order of its bindings. Nothing happens for zero groups.
     pub fn run(&mut self, kernel: &Kernel, buffers: &[&Buffer], groups: Groups) {
         let Self { gpu, encoder, pass, clock } = self;
-        let [x, y] = match groups {
-            Groups::Direct(0) => return,
-            Groups::Direct(count) => grid(count),
-            Groups::Indirect(..) => [0; 2],
-        };
+        if matches!(groups, Groups::Direct(0) | Groups::Items(0)) {
+            return;
+        }
         let (pipeline, bindings) = gpu.bound(kernel, buffers);
         let timestamp_writes = clock.as_mut().and_then(|clock| clock.next(kernel.name));
         if timestamp_writes.is_some() {
@@ -50,10 +50,15 @@ impl<'a> Commands<'a> {
         });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
-        match groups {
-            Groups::Direct(_) => pass.dispatch_workgroups(x, y, 1),
-            Groups::Indirect(buffer, offset) => pass.dispatch_workgroups_indirect(&buffer.0, offset),
-        }
+        let count = match groups {
+            Groups::Direct(count) => count,
+            Groups::Items(items) => items.div_ceil(kernel.group) as u32,
+            Groups::Indirect(buffer, offset) => {
+                return pass.dispatch_workgroups_indirect(&buffer.0, offset);
+            }
+        };
+        let [x, y] = grid(count);
+        pass.dispatch_workgroups(x, y, 1);
     }
 
     /// The variant for this device.

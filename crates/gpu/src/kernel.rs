@@ -1,8 +1,33 @@
-/// Text of a file below `shaders/`, taken at build time: a missing file does not build, and an old one cannot be shipped.
+/// Text of a file below a crate's `shaders/`, taken at build time: a missing file does not build, and an old one cannot be
+/// shipped.
 #[macro_export]
 macro_rules! wgsl {
     ($path:expr) => {
-        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shaders/", $path, ".wgsl"))
+        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $path, ".wgsl"))
+    };
+}
+
+/// `linear_group`, which every kernel has: dispatches are dealt over two dimensions.
+pub const GROUPS: &str = wgsl!("groups");
+
+/// The kernels of a crate, one per file of its `shaders/`: `NAME = "file" of 256, [shared pieces];` with the invocations of
+/// a workgroup, and `subgroups` at the end of those that need subgroup operations. Tests have all of them as `ALL`.
+#[macro_export]
+macro_rules! kernels {
+    (@subgroups) => {
+        true
+    };
+    ($($name:ident = $file:literal of $group:literal, [$($piece:expr),*] $(, $subgroups:ident)?;)*) => {
+        $(pub(crate) const $name: $crate::Kernel = $crate::Kernel {
+            name: $file,
+            source: &[$($piece,)* $crate::GROUPS, $crate::wgsl!($file)],
+            group: $group,
+            subgroups: false $(|| $crate::kernels!(@$subgroups))?,
+        };)*
+
+        /// Every kernel of this crate.
+        #[cfg(test)]
+        pub(crate) const ALL: &[$crate::Kernel] = &[$($name),*];
     };
 }
 
@@ -14,6 +39,8 @@ pub struct Kernel {
     pub name: &'static str,
     /// WGSL: shared pieces first, then the file with the entry point.
     pub source: &'static [&'static str],
+    /// Invocations of a workgroup.
+    pub group: usize,
     /// Whether it needs subgroup operations.
     pub subgroups: bool,
 }

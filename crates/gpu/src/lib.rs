@@ -11,13 +11,14 @@
 //!     name: "double",
 //!     source: &["@group(0) @binding(0) var<storage, read_write> values: array<u32>;
 //!         @compute @workgroup_size(4) fn double(@builtin(global_invocation_id) id: vec3u) { values[id.x] *= 2u; }"],
+//!     group: 4,
 //!     subgroups: false,
 //! };
 //! // Adapters differ between machines, and a machine may have none.
 //! if let Ok(gpu) = Gpu::open(None) {
 //!     let values = gpu.upload("values", &[1_u32, 2, 3, 4])?;
 //!     let mut commands = gpu.commands();
-//!     commands.run(&DOUBLE, &[&values], Groups::of(4, 4));
+//!     commands.run(&DOUBLE, &[&values], Groups::Items(4));
 //!     gpu.submit(commands)?;
 //!     assert_eq!(gpu.download::<u32>(&values, 4)?, [2, 4, 6, 8]);
 //! }
@@ -40,4 +41,4 @@ pub use clock::KernelTime;
 pub use commands::{Commands, Groups};
 pub use device::{Gpu, Traffic};
 pub use error::GpuError;
-pub use kernel::Kernel;
+pub use kernel::{GROUPS, Kernel};

@@ -2,7 +2,7 @@
 
 use crate::Kernel;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
-use wgpu::naga::{AddressSpace, Module, TypeInner, front::wgsl, proc::Layouter};
+use wgpu::naga::{AddressSpace, Expression, Literal, Module, TypeInner, front::wgsl, proc::Layouter};
 
 /// A struct of a shader: its members with their offsets, in order, and its size (bytes).
 pub type StructLayout = (Vec<(String, u32)>, u32);
@@ -87,11 +87,32 @@ impl Reflection {
                 format!("{} bytes of workgroup memory", self.workgroup_bytes),
             ),
             (
+                self.invocations as usize == kernel.group,
+                format!("{} invocations, not {}", self.invocations, kernel.group),
+            ),
+            (
                 self.invocations <= limits.max_compute_invocations_per_workgroup,
                 format!("{} invocations", self.invocations),
             ),
         ];
         rules.into_iter().find(|(holds, _)| !holds).map(|(_, what)| format!("{}: {what}", kernel.name))
+    }
+
+    /// The value of a number that the text names; `None` when the kernel has none of that name.
+    pub fn constant(&self, name: &str) -> Option<f64> {
+        let (_, constant) = self.module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name))?;
+        match self.module.global_expressions[constant.init] {
+            Expression::Literal(Literal::F32(value)) => Some(f64::from(value)),
+            Expression::Literal(Literal::U32(value)) => Some(f64::from(value)),
+            Expression::Literal(Literal::I32(value)) => Some(f64::from(value)),
+            _ => None,
+        }
+    }
+
+    /// Names of all numbers that the text names.
+    pub fn constants(&self) -> Vec<&str> {
+        let names = self.module.constants.iter().filter_map(|(_, c)| c.name.as_deref());
+        names.filter(|name| self.constant(name).is_some()).collect()
     }
 
     /// The layout of a struct; `None` when the kernel has none of that name.
@@ -121,7 +142,7 @@ mod tests {
     const HEAD: &str = "@group(0) @binding(0) var<storage, read_write> a: array<u32>;";
 
     fn kernel(source: &'static [&'static str]) -> Kernel {
-        Kernel { name: "f", source, subgroups: false }
+        Kernel { name: "f", source, group: 1, subgroups: false }
     }
 
     #[test]

@@ -29,6 +29,7 @@ const BROKEN: Kernel = Kernel {
     name: "broken",
     source: &["@group(0) @binding(0) var<storage, read_write> a: array<u32>;
         @compute @workgroup_size(1) fn broken() { a[0] = 1.5; }"],
+    group: 1,
     subgroups: false,
 };
 
@@ -55,6 +56,7 @@ const COUNT: Kernel = Kernel {
     name: "count",
     source: &["@group(0) @binding(0) var<storage, read_write> a: array<u32>;
         @compute @workgroup_size(1) fn count() { a[0] += 1u; }"],
+    group: 1,
     subgroups: false,
 };
 

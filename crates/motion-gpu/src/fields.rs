@@ -107,7 +107,7 @@ impl<'a> ViewFields<'a> {
         let visibility = gpu.upload("visibility", &visibility)?;
         let mut commands = gpu.commands();
         let buffers = [&job, &self.pixels, &tracks, &visibility, &self.fields];
-        commands.run(&kernels::DENSIFY, &buffers, Groups::of(self.numbers.len(), 64));
+        commands.run(&kernels::DENSIFY, &buffers, Groups::Items(self.numbers.len()));
         gpu.submit(commands)
     }
 
@@ -131,7 +131,7 @@ impl<'a> ViewFields<'a> {
         let job = gpu.uniform("unpack", &uniform)?;
         let numbers = gpu.upload("dense field", &packed.pixels)?;
         let mut commands = gpu.commands();
-        let groups = Groups::of(self.numbers.len(), 256);
+        let groups = Groups::Items(self.numbers.len());
         commands.run(&kernels::UNPACK_FIELD, &[&job, &numbers, &self.fields], groups);
         Ok(gpu.submit(commands)?)
     }
@@ -149,7 +149,7 @@ impl<'a> ViewFields<'a> {
         let job =
             self.uniform(FieldsUniform { ignore_unknown, magnitude_floor, ..FieldsUniform::default() })?;
         let mut commands = self.gpu.commands();
-        let groups = Groups::of(self.numbers.len(), 64);
+        let groups = Groups::Items(self.numbers.len());
         commands.run(&kernels::AGREEMENT, &[&job, &self.fields], groups);
         Ok(self.gpu.submit(commands)?)
     }
@@ -167,7 +167,7 @@ impl<'a> ViewFields<'a> {
         let planes = self.gpu.buffer("planes of motion", bytes as u64)?;
         let mut commands = self.gpu.commands();
         let buffers = [&job, &self.pixels, &self.fields, &planes];
-        commands.run(&kernels::FIELD_PLANES, &buffers, Groups::of(self.numbers.len(), 256));
+        commands.run(&kernels::FIELD_PLANES, &buffers, Groups::Items(self.numbers.len()));
         self.gpu.submit(commands)?;
         Ok(planes)
     }

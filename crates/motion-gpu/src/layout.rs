@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// `Densify` of `shaders/motion/densify.wgsl`.
+/// `Densify` of `shaders/densify.wgsl`.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct DensifyUniform {
@@ -17,7 +17,7 @@ pub(crate) struct DensifyUniform {
     pub padding: u32,
 }
 
-/// `Unpack` of `shaders/motion/unpack_field.wgsl`.
+/// `Unpack` of `shaders/unpack_field.wgsl`.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct UnpackUniform {

@@ -10,8 +10,6 @@ use ffgs_rasterizer::RenderOptions;
 
 /// Up to this many values one workgroup scans alone: 4 rounds, for which three kernels are not worth their start.
 const SHORT: usize = 4 * BLOCK;
-/// Invocations of the kernels that take one item each.
-const GROUP: usize = 256;
 
 /// Writes what changes between renders of a view. `stamp` is the number of the training step.
 pub fn prepare(
@@ -60,10 +58,10 @@ pub fn deal(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: 
         &s.spans,
         &s.spans_used,
     ];
-    commands.run(&kernels::PROJECT, &project, Groups::of(n, GROUP));
+    commands.run(&kernels::PROJECT, &project, Groups::Items(n));
     sort_by_depth(commands, s, n);
     let ranks = [&view.uniform, order, &s.extents, &s.counts, &view.slots];
-    commands.run(&kernels::RANK_COUNTS, &ranks, Groups::of(n.max(view.slots()), GROUP));
+    commands.run(&kernels::RANK_COUNTS, &ranks, Groups::Items(n.max(view.slots())));
     let job = &s.jobs.scan_gaussians;
     scan(commands, s, job, &s.counts, Groups::of(n, BLOCK));
     commands.run(&kernels::PLAN_PAIRS, &[&view.uniform, &s.spans_used, &s.sums, &s.plan], Groups::Direct(1));
@@ -77,7 +75,7 @@ pub fn deal(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: 
         &s.pairs[0],
         &s.pair_splats,
     ];
-    commands.run(&kernels::EMIT_PAIRS, &emit, Groups::of(n, GROUP));
+    commands.run(&kernels::EMIT_PAIRS, &emit, Groups::Items(n));
     let sorted = sort_by_tile(commands, s, view.slots());
     let ranges = [&s.plan, sorted, &s.pair_splats, &s.list, &view.slots];
     commands.run(&kernels::TILE_RANGES, &ranges, each_pair(s));
@@ -139,7 +137,7 @@ fn bits_of(count: usize) -> u32 {
 pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
     let s = scratch;
     let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, &view.tile_slots, depths];
-    commands.run(&kernels::TILE_DEPTHS, &buffers, Groups::of(view.slots(), GROUP));
+    commands.run(&kernels::TILE_DEPTHS, &buffers, Groups::Items(view.slots()));
 }
 
 /// Adds 1 to `counts` (u32 per Gaussian) for every Gaussian that what was dealt last shows.
@@ -151,7 +149,7 @@ pub fn count_views(
     counts: &Buffer,
 ) {
     let buffers = [&view.uniform, &scratch.extents, counts];
-    commands.run(&kernels::COUNT_VIEWS, &buffers, Groups::of(scene.count, GROUP));
+    commands.run(&kernels::COUNT_VIEWS, &buffers, Groups::Items(scene.count));
 }
 
 /// Blends what was dealt last into the layers of `view`, cut at `depths`: what is nearer in front, the rest over the
@@ -195,7 +193,7 @@ pub fn backward(
         &gradients.ledger,
         &gradients.pose,
     ];
-    commands.run(&kernels::PROJECTION_BACKWARD, &project, Groups::of(scene.count, GROUP));
+    commands.run(&kernels::PROJECTION_BACKWARD, &project, Groups::Items(scene.count));
 }
 
 #[cfg(test)]

@@ -105,7 +105,7 @@ impl GpuRasterizer<'_> {
         let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
         commands.run(kernel, &sum, Groups::of(view.slots(), 1));
         let total = [&view.uniform, &s.extents, &s.entries, totals];
-        commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::of(scene.count, 256));
+        commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::Items(scene.count));
         gpu.submit(commands)
     }
 

@@ -39,6 +39,7 @@ mod view;
 pub use device::SceneDevice;
 pub use encode::{backward, count_views, deal, prepare, render, render_split, tile_depths};
 pub use footprint::{Footprints, Planes};
+pub use kernels::{LEDGER, VIEW};
 pub use layout::{Geometry, Ledger};
 pub use rasterize::{GpuRasterizer, Rendered, VIEWS_A_SUBMISSION};
 pub use scene::{GpuGradients, GpuScene};

@@ -14,7 +14,7 @@ pub(crate) struct LossUniform {
     pub per_sample: f32,
 }
 
-/// `Adam` of `shaders/trainer/adam.wgsl`.
+/// `Adam` of `shaders/adam.wgsl`.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct AdamUniform {
@@ -25,7 +25,7 @@ pub(crate) struct AdamUniform {
     pub rates: [[f32; 4]; 12],
 }
 
-/// `Carry` of `shaders/trainer/carry.wgsl`.
+/// `Carry` of `shaders/carry.wgsl`.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct CarryUniform {

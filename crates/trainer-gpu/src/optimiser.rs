@@ -5,8 +5,6 @@ use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::{Geometry, GpuGradients, GpuScene, Ledger};
 use ffgs_trainer::{Columns, IndexMap, LearningRates, bias_corrections};
 
-/// Invocations of the kernel.
-const GROUP: usize = 256;
 /// No row, or no column, of `carry`.
 const NEW: u32 = u32::MAX;
 /// Where a row of [`Geometry`] holds the opacity.
@@ -91,11 +89,11 @@ impl<'a> Optimiser<'a> {
         if self.columns.geometry {
             let geometry =
                 columns(&self.geometry_step, &g.geometry, &scene.geometry, &first.geometry, &second.geometry);
-            commands.run(&kernels::ADAM, &geometry, Groups::of(n * GEOMETRY_WIDTH, GROUP));
+            commands.run(&kernels::ADAM, &geometry, Groups::Items(n * GEOMETRY_WIDTH));
         }
         if self.columns.colours {
             let sh = columns(&self.sh_step, &g.sh, &scene.sh, &first.sh, &second.sh);
-            commands.run(&kernels::ADAM, &sh, Groups::of(n * self.sh_width(), GROUP));
+            commands.run(&kernels::ADAM, &sh, Groups::Items(n * self.sh_width()));
         }
     }
 
@@ -158,7 +156,7 @@ impl<'a> Optimiser<'a> {
             let after = gpu.buffer("moments", (rows * width * 4) as u64)?;
             let job = CarryUniform { rows: rows as u32, width: width as u32, dropped, padding: 0 };
             let job = gpu.uniform("carry", &job)?;
-            commands.run(&kernels::CARRY, &[&job, numbers, before, &after], Groups::of(rows * width, GROUP));
+            commands.run(&kernels::CARRY, &[&job, numbers, before, &after], Groups::Items(rows * width));
             Ok::<_, GpuError>(after)
         };
         let dropped = if keep_opacity { NEW } else { OPACITY_COLUMN };

@@ -8,9 +8,6 @@ use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::GpuScene;
 use ffgs_trainer::{Prior, SSIM_WEIGHT};
 
-/// Invocations of the kernels.
-const GROUP: usize = 256;
-
 /// The prior of a training and where the layer was at its start.
 pub(crate) struct GpuPrior {
     uniform: Buffer,
@@ -69,9 +66,9 @@ impl GpuPrior {
         let [a, b, c, d, e, now, before, known, gradient] =
             shared(&scene.geometry, &start.geometry, &others.geometry, &gradients.scene.geometry);
         let geometry = [a, b, c, d, e, now, before, known, gradient, positions];
-        commands.run(&kernels::PRIOR_GEOMETRY, &geometry, Groups::of(scene.count, GROUP));
+        commands.run(&kernels::PRIOR_GEOMETRY, &geometry, Groups::Items(scene.count));
         let colours = shared(&scene.sh, &start.sh, &others.sh, &gradients.scene.sh);
         let values = scene.count * 3 * ffgs_core::sh_coefficients(scene.sh_degree);
-        commands.run(&kernels::PRIOR_COLOURS, &colours, Groups::of(values, GROUP));
+        commands.run(&kernels::PRIOR_COLOURS, &colours, Groups::Items(values));
     }
 }

@@ -8,8 +8,7 @@ use ffgs_gpu::reflection::Reflection;
 #[test]
 fn every_shader_is_valid_and_within_the_guaranteed_limits() {
     for kernel in kernels::ALL {
-        let reflection = Reflection::of(&kernel).unwrap();
-        assert_eq!(reflection.fault(&kernel), None);
+        assert_eq!(Reflection::of(kernel).unwrap().fault(kernel), None);
     }
 }
 

@@ -70,7 +70,7 @@ impl GpuSky {
             [view.uniform(), &self.uniform, view.slot_list(), &scratch.pixels, &scratch.upstream, gradient];
         commands.run(&kernels::SKY_GRADIENT, &gather, Groups::of(view.slots(), 1));
         let buffers = [&self.uniform, corrections, gradient, &self.texels, steps, moments];
-        commands.run(&kernels::SKY_ADAM, &buffers, Groups::of(6 * self.face_size * self.face_size, 256));
+        commands.run(&kernels::SKY_ADAM, &buffers, Groups::Items(6 * self.face_size * self.face_size));
     }
 
     /// The texels. Waits for the device.

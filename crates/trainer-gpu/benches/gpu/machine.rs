@@ -22,6 +22,7 @@ fn machine_copy(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gr
     let at = (group.y * groups.x + group.x) * 256u + local;
     if at < arrayLength(&source) { copied[at] = source[at]; }
 }"],
+    group: 256,
     subgroups: false,
 };
 
@@ -56,6 +57,7 @@ fn machine_fma(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
     }
     if at < arrayLength(&results) { results[at] = s0 + s1 + s2 + s3 + s4 + s5 + s6 + s7; }
 }"],
+    group: 256,
     subgroups: false,
 };
 
@@ -63,11 +65,11 @@ fn machine_fma(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
 pub fn rates(gpu: &Gpu, rows: &mut Rows) -> Result<(), GpuError> {
     let bytes = ARRAY.min(gpu.report().max_binding);
     let (source, copied) = (gpu.buffer("source", bytes)?, gpu.buffer("copy", bytes)?);
-    let groups = || Groups::of((bytes / 16) as usize, 256);
+    let groups = || Groups::Items((bytes / 16) as usize);
     let seconds = rows.time_on(gpu, || submit(gpu, &COPY, &[&source, &copied], groups()))?;
     rows.add("machine/copy", seconds, Some(Floor { bytes: 2.0 * bytes as f64, operations: 0.0 }));
     let results = gpu.buffer("results", 16 * INVOCATIONS as u64)?;
-    let groups = || Groups::of(INVOCATIONS, 256);
+    let groups = || Groups::Items(INVOCATIONS);
     // As many rounds as take long beside a submission.
     let mut rounds = 16_u32;
     loop {
