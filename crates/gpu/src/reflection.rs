@@ -1,6 +1,7 @@
 //! What a kernel's text says, found without a GPU: for tests that hold the host side to it.
 
 use crate::Kernel;
+use std::collections::BTreeSet;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
 use wgpu::naga::{AddressSpace, Expression, Literal, Module, TypeInner, front::wgsl, proc::Layouter};
 
@@ -124,6 +125,33 @@ impl Reflection {
     }
 }
 
+/// Where the numbers that kernels name differ from those of the host: each is in `shared`, with the host's value, or in
+/// `device_only`, and each of those is in some kernel.
+///
+/// # Errors
+/// When a kernel does not compile.
+pub fn constant_faults(
+    kernels: &[Kernel],
+    shared: &[(&str, f64)],
+    device_only: &[&str],
+) -> Result<Vec<String>, String> {
+    let (mut faults, mut seen) = (Vec::new(), BTreeSet::new());
+    for kernel in kernels {
+        let reflection = Reflection::of(kernel)?;
+        for name in reflection.constants() {
+            seen.insert(name.to_owned());
+            let host = shared.iter().find(|(known, _)| *known == name).map(|known| known.1);
+            let device = reflection.constant(name);
+            if device != host && !device_only.contains(&name) {
+                faults.push(format!("{}: {name} is {device:?}, on the host {host:?}", kernel.name));
+            }
+        }
+    }
+    let listed = shared.iter().map(|known| known.0).chain(device_only.iter().copied());
+    faults.extend(listed.filter(|name| !seen.contains(*name)).map(|name| format!("{name}: in no kernel")));
+    Ok(faults)
+}
+
 /// The layout of a host struct, to compare with [`Reflection::layout`].
 #[macro_export]
 macro_rules! host_layout {
@@ -148,7 +176,10 @@ mod tests {
     #[test]
     fn faults_are_found() {
         let good = kernel(&[HEAD, "@compute @workgroup_size(64) fn f() { a[0] = 1u; }"]);
+        let good = Kernel { group: 64, ..good };
         assert_eq!(Reflection::of(&good).unwrap().fault(&good), None);
+        let other_size = Kernel { group: 32, ..good };
+        assert!(Reflection::of(&other_size).unwrap().fault(&other_size).is_some());
         let wrong = [
             kernel(&[HEAD, "@compute @workgroup_size(64) fn g() { a[0] = 1u; }"]),
             kernel(&[HEAD, "@compute @workgroup_size(512) fn f() { a[0] = 1u; }"]),
@@ -160,11 +191,31 @@ mod tests {
             ]),
         ];
         for kernel in &wrong {
+            let kernel = &Kernel { group: Reflection::of(kernel).unwrap().invocations as usize, ..*kernel };
             let found = Reflection::of(kernel).map(|r| r.fault(kernel));
             assert!(matches!(found, Ok(Some(_))), "{:?}: {found:?}", kernel.source);
         }
         let subgroups = kernel(&[HEAD, "@compute @workgroup_size(64) fn f() { a[0] = subgroupAdd(1u); }"]);
         assert!(Reflection::of(&subgroups).is_err(), "a capability that was not asked for");
         assert!(Reflection::of(&kernel(&["fn f() { let x: u32 = 1.0; }"])).is_err());
+    }
+
+    #[test]
+    fn constants_that_differ_from_the_host_are_found() {
+        const SOURCE: &[&str] = &[
+            HEAD,
+            "const A: f32 = 1.0 / 4.0;
+            const B: u32 = 3u;
+            @compute @workgroup_size(1) fn f() { a[0] = B + u32(A); }",
+        ];
+        let kernels = [kernel(SOURCE)];
+        let faults = |shared: &[(&str, f64)], device_only: &[&str]| {
+            constant_faults(&kernels, shared, device_only).unwrap().len()
+        };
+        assert_eq!(faults(&[("A", 0.25), ("B", 3.0)], &[]), 0);
+        assert_eq!(faults(&[("A", 0.25)], &["B"]), 0);
+        assert_eq!(faults(&[("A", 0.25)], &[]), 1, "a number that nobody lists");
+        assert_eq!(faults(&[("A", 0.5), ("B", 3.0)], &[]), 1, "another value");
+        assert_eq!(faults(&[("A", 0.25), ("B", 3.0), ("C", 1.0)], &[]), 1, "no kernel has C");
     }
 }

@@ -9,9 +9,9 @@ use ffgs_voronoi::{
 use thiserror::Error;
 
 /// Neighbours that a pixel keeps at most, `MOST_NEIGHBOURS` of the shader.
-const MOST_NEIGHBOURS: usize = 16;
+pub(crate) const MOST_NEIGHBOURS: usize = 16;
 /// Trackers of a view at most, `MOST_TRACKERS` of the shaders.
-const MOST_TRACKERS: usize = 8;
+pub(crate) const MOST_TRACKERS: usize = 8;
 /// Planes of a tracker: known, flow x, flow y, weight.
 const PLANES: usize = 4;
 

@@ -1,9 +1,9 @@
 //! Checks of the shaders that need no GPU.
 
-use crate::kernels;
 use crate::layout::{DensifyUniform, FieldsUniform, UnpackUniform};
+use crate::{fields, kernels};
 use ffgs_gpu::host_layout;
-use ffgs_gpu::reflection::Reflection;
+use ffgs_gpu::reflection::{Reflection, constant_faults};
 
 #[test]
 fn every_shader_is_valid_and_within_the_guaranteed_limits() {
@@ -28,4 +28,13 @@ fn host_structs_have_the_layout_of_the_shaders() {
         let found: Vec<_> = layouts.collect();
         assert!(!found.is_empty() && found.iter().all(|shader| *shader == host), "{name}: {found:?}");
     }
+}
+
+#[test]
+fn constants_are_those_of_the_host() {
+    let shared = [
+        ("MOST_NEIGHBOURS", fields::MOST_NEIGHBOURS as f64),
+        ("MOST_TRACKERS", fields::MOST_TRACKERS as f64),
+    ];
+    assert_eq!(constant_faults(kernels::ALL, &shared, &[]).unwrap(), [""; 0]);
 }

@@ -1,16 +1,16 @@
 use crate::kernels;
-use crate::layout::ENTRY;
 use crate::rasterize::GpuRasterizer;
 use crate::scene::GpuScene;
 use crate::view::GpuView;
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Buffer, GpuError, Groups};
+use ffgs_rasterizer::constants::ENTRY;
 use ffgs_rasterizer::{TopContributors, View};
 
 /// Channels that one pass over the pixels sums.
-const CHANNELS: usize = ENTRY - 1;
+pub(crate) const CHANNELS: usize = ENTRY - 1;
 /// Contributors a pixel that are kept at most.
-const MOST_CONTRIBUTORS: usize = 16;
+pub(crate) const MOST_CONTRIBUTORS: usize = 16;
 
 /// Sums per Gaussian of `alpha T` times per-pixel channels; see [`ffgs_rasterizer::FootprintSums`].
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -93,8 +93,6 @@ pub(crate) struct Job {
 
 /// Bytes of a `Splat` of `shaders/common/view.wgsl`.
 pub(crate) const SPLAT_BYTES: u64 = 48;
-/// Values per (tile, splat) entry.
-pub(crate) const ENTRY: usize = 9;
 
 /// Entries of the plan buffer, `shaders/common/plan.wgsl`.
 pub(crate) mod plan {

@@ -1,5 +1,6 @@
-use crate::layout::{ENTRY, Job, SPLAT_BYTES, plan};
+use crate::layout::{Job, SPLAT_BYTES, plan};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
+use ffgs_rasterizer::constants::ENTRY;
 
 /// Elements of one block of scan and sort.
 pub(crate) const BLOCK: usize = 1024;

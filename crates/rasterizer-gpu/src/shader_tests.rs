@@ -2,7 +2,7 @@
 
 use crate::{kernels, layout};
 use ffgs_gpu::host_layout;
-use ffgs_gpu::reflection::Reflection;
+use ffgs_gpu::reflection::{Reflection, constant_faults};
 
 #[test]
 fn every_shader_is_valid_and_within_the_guaranteed_limits() {
@@ -36,22 +36,43 @@ fn host_structs_have_the_layout_of_the_shaders() {
 }
 
 #[test]
-fn host_constants_are_those_of_the_shaders() {
-    let constants = [
-        ("TILE", ffgs_rasterizer::TILE as u32),
-        ("ENTRY", layout::ENTRY as u32),
-        ("BLOCK", crate::scratch::BLOCK as u32),
-        ("DIGITS", crate::scratch::DIGITS as u32),
-        ("PLAN_COUNT", layout::plan::COUNT),
-        ("PLAN_PAIRS", layout::plan::PAIRS),
-        ("PLAN_NEEDED_PAIRS", layout::plan::NEEDED_PAIRS as u32),
-        ("PLAN_NEEDED_SPANS", layout::plan::NEEDED_SPANS as u32),
-        ("PLAN_SORT", layout::plan::SORT),
-        ("PLAN_SCAN", layout::plan::SCAN),
-        ("PLAN_EACH", layout::plan::EACH),
+fn constants_are_those_of_the_host() {
+    use ffgs_rasterizer::constants as host;
+    let shared = [
+        ("TILE", host::TILE as f64),
+        ("AREA", host::AREA as f64),
+        ("ENTRY", host::ENTRY as f64),
+        ("MIN_ALPHA", f64::from(host::MIN_ALPHA)),
+        ("MAX_ALPHA", f64::from(host::MAX_ALPHA)),
+        ("MIN_TRANSMITTANCE", f64::from(host::MIN_TRANSMITTANCE)),
+        ("PIXEL_FILTER", f64::from(host::PIXEL_FILTER)),
+        ("MIN_COMPENSATION", f64::from(host::MIN_COMPENSATION)),
+        ("NEAR", f64::from(host::NEAR)),
+        ("BLOCK", crate::scratch::BLOCK as f64),
+        ("DIGITS", crate::scratch::DIGITS as f64),
+        ("CHANNELS", crate::footprint::CHANNELS as f64),
+        ("MOST", crate::footprint::MOST_CONTRIBUTORS as f64),
+        ("NO_SLOT", f64::from(crate::view::NO_SLOT)),
+        ("PLAN_COUNT", f64::from(layout::plan::COUNT)),
+        ("PLAN_PAIRS", f64::from(layout::plan::PAIRS)),
+        ("PLAN_NEEDED_PAIRS", layout::plan::NEEDED_PAIRS as f64),
+        ("PLAN_NEEDED_SPANS", layout::plan::NEEDED_SPANS as f64),
+        ("PLAN_SORT", f64::from(layout::plan::SORT)),
+        ("PLAN_SCAN", f64::from(layout::plan::SCAN)),
+        ("PLAN_EACH", f64::from(layout::plan::EACH)),
+        ("SH_C0", f64::from(ffgs_rasterizer::sh_basis(1, glam::Vec3::Z)[0])),
+        ("SH_C1", f64::from(ffgs_rasterizer::sh_basis(1, glam::Vec3::Z)[2])),
     ];
-    for (name, host) in constants {
-        let line = format!("const {name}: u32 = {host}u;");
-        assert!(kernels::ALL.iter().any(|k| k.text().contains(&line)), "no shader has `{line}`");
-    }
+    // How a kernel shares out its work, and marks that it alone reads.
+    let device_only = [
+        "REDUCED",
+        "REDUCE_STRIDE",
+        "MOST_SUBGROUPS",
+        "BATCH",
+        "ROWS",
+        "MAX_EXPONENT",
+        "OUT_OF_SIGHT",
+        "FAR",
+    ];
+    assert_eq!(constant_faults(kernels::ALL, &shared, &device_only).unwrap(), [""; 0]);
 }

@@ -1,14 +1,11 @@
 use crate::layout::ViewUniform;
 use ffgs_core::{Camera, ImageSize, PlanarImage};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
-use ffgs_rasterizer::{Background, TILE, TileMask};
+use ffgs_rasterizer::constants::{AREA, FRUSTUM_MARGIN, TILE};
+use ffgs_rasterizer::{Background, TileMask};
 
-/// The projection's Jacobian is evaluated inside the frustum widened by this share of its half-angle's tangent.
-const FRUSTUM_MARGIN: f32 = 0.3;
 /// `NO_SLOT` of the shaders.
-const NO_SLOT: u32 = u32::MAX;
-/// Pixels a tile.
-const AREA: usize = TILE * TILE;
+pub(crate) const NO_SLOT: u32 = u32::MAX;
 
 /// A view on the device: camera, the tiles to compute, and what lies behind and in front of the Gaussians.
 #[derive(Clone, Debug)]
@@ -17,7 +14,7 @@ pub struct GpuView {
     pub(crate) constants: ViewUniform,
     pub(crate) tile_slots: Buffer,
     pub(crate) slots: Buffer,
-    /// Two vec4 a pixel, tile by tile of the computed ones: RGB behind and transmittance in front; RGB in front and the
+    /// Two vec4 per pixel, tile by tile of the computed ones: RGB behind and transmittance in front; RGB in front and the
     /// derivative of the loss by this layer's transmittance. A placeholder for a background of one colour.
     pub layers: Buffer,
     tiles: Vec<u32>,

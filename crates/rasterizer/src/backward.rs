@@ -1,11 +1,12 @@
 //! The backward pass over tiles: from pixel derivatives to derivatives per (tile, splat) entry.
 
-use crate::blend::{AREA, Contribution, MAX_ALPHA, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::constants::{AREA, ENTRY, MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::cpu::CpuRasterizer;
 use crate::gradients::{Gradients, PixelGradients};
 use crate::projection::{Ridge, Splat};
 use crate::projection_backward::to_parameters;
-use crate::tape::{ENTRY, RenderTape, TilePixels, for_each_pixel, gather};
+use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
 use crate::tile_lists::{Entry, for_each_tile_slice};
 use crate::view::View;
 use ffgs_core::{Gaussians, instructions};

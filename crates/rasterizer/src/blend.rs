@@ -1,16 +1,9 @@
 //! The walk over a tile's splats, front to back, shared by every pass that blends.
 
-use crate::projection::{MIN_ALPHA, Splat};
+use crate::constants::{AREA, MAX_ALPHA, MIN_ALPHA, TILE};
+use crate::projection::Splat;
 use crate::tile_lists::Entry;
-use crate::tiles::TILE;
 use pulp::Simd;
-
-/// Opacity of one contribution is capped here, so that transmittance never reaches 0.
-pub(crate) const MAX_ALPHA: f32 = 0.99;
-/// A pixel is finished before the contribution that would bring its transmittance to this value.
-pub(crate) const MIN_TRANSMITTANCE: f32 = 1e-4;
-/// Pixels a tile.
-pub(crate) const AREA: usize = TILE * TILE;
 
 /// Splats loaded ahead.
 const BATCH: usize = 16;

@@ -1,7 +1,8 @@
 //! Chunks of Gaussians that a view cannot show are not projected.
 
+use crate::constants::{NEAR, PIXEL_FILTER};
 use crate::elementary::exp;
-use crate::projection::{MAX_REACH, NEAR, PIXEL_FILTER, PinholeF32};
+use crate::projection::{MAX_REACH, PinholeF32};
 use crate::tiles::{TileGrid, TileMask, tile_range};
 use ffgs_core::Gaussians;
 use glam::DVec3;

@@ -1,7 +1,8 @@
 //! From tiles to the row-major image.
 
+use crate::constants::TILE;
 use crate::tape::{RenderTape, TilePixels};
-use crate::tiles::{TILE, TileGrid};
+use crate::tiles::TileGrid;
 use crate::view::{Background, View};
 use ffgs_core::ImageSize;
 use rayon::prelude::*;

@@ -1,7 +1,8 @@
 //! Exact coverage of tiles by splats.
 
+use crate::constants::TILE;
 use crate::projection::{Extent, Splat};
-use crate::tiles::{Span, TILE, TileGrid, TileMask, tile_range};
+use crate::tiles::{Span, TileGrid, TileMask, tile_range};
 
 /// Appends the tiles that a splat's ellipse `sigma <= reach` touches; `false` when none is active.
 #[inline(always)]

@@ -1,9 +1,10 @@
 //! The forward pass.
 
-use crate::blend::{Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::block::{BLOCK, Block, Projected};
 use crate::chunks::{CHUNK, ChunkBounds};
 use crate::compose::compose;
+use crate::constants::MIN_TRANSMITTANCE;
 use crate::coverage::cover;
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};

@@ -1,7 +1,8 @@
 //! Sums over the pixels that a Gaussian covers.
 
-use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::chunks::ChunkBounds;
+use crate::constants::{AREA, MIN_TRANSMITTANCE};
 use crate::cpu::CpuRasterizer;
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_row};

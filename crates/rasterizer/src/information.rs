@@ -6,7 +6,8 @@
 //! their squared derivatives are sums of `E`, `E u u` and `E u u u u`: ten numbers per (tile, splat) hold everything.
 //! What passes through the viewing direction, and through the projection's Jacobian at another depth, is left out.
 
-use crate::blend::{AREA, Contribution, MAX_ALPHA, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::constants::{AREA, MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::cpu::CpuRasterizer;
 use crate::elementary::sigmoid;
 use crate::projection::{self, Ewa, Filtered, PinholeF32, Ridge, Splat};

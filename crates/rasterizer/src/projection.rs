@@ -1,21 +1,12 @@
 //! EWA projection of one Gaussian: shared by the forward and the backward pass, which loop over blocks of Gaussians.
 
+use crate::constants::{FRUSTUM_MARGIN, MIN_ALPHA, MIN_COMPENSATION, NEAR, PIXEL_FILTER};
 use crate::elementary::{exp, ln, sigmoid};
 use crate::spherical_harmonics;
 use crate::view::RenderOptions;
 use ffgs_core::{Camera, Gaussians, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 
-/// Variance added to the projected covariance (px^2): the pixel filter of 3D Gaussian Splatting.
-pub(crate) const PIXEL_FILTER: f32 = 0.3;
-/// The projection's Jacobian is evaluated inside the frustum widened by this share of its half-angle's tangent.
-const FRUSTUM_MARGIN: f32 = 0.3;
-/// Lower bound of the antialiasing compensation.
-const MIN_COMPENSATION: f32 = 0.005;
-/// Gaussians nearer to the camera plane than this (m) are not rendered.
-pub(crate) const NEAR: f32 = 0.01;
-/// Contributions below this opacity are skipped.
-pub(crate) const MIN_ALPHA: f32 = 1.0 / 255.0;
 /// Standard deviations at which even an opaque splat falls below [`MIN_ALPHA`], `sqrt(2 ln 255)` rounded up.
 pub(crate) const MAX_REACH: f32 = 3.33;
 

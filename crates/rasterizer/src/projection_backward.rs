@@ -1,11 +1,12 @@
 //! From derivatives per (tile, splat) entry to derivatives of the Gaussians' parameters and the camera's pose.
 
 use crate::block::{BLOCK, Block, Column};
+use crate::constants::ENTRY;
 use crate::elementary::sigmoid;
 use crate::gradients::Gradients;
 use crate::projection::{self, Ewa, PinholeF32};
 use crate::spherical_harmonics as sh;
-use crate::tape::{ENTRY, RenderTape};
+use crate::tape::RenderTape;
 use crate::view::{RenderOptions, View};
 use ffgs_core::{Gaussians, instructions, sh_coefficients};
 use glam::{DMat3, DVec3, Mat3, Vec3};

@@ -1,15 +1,12 @@
 //! Output of a render call, and what the backward pass reuses.
 
-use crate::blend::{AREA, TilePlane};
+use crate::blend::TilePlane;
+use crate::constants::{AREA, ENTRY, TILE};
 use crate::projection::Splat;
 use crate::tile_lists::TileLists;
-use crate::tiles::{Span, TILE, TileGrid, TileMask};
+use crate::tiles::{Span, TileGrid, TileMask};
 use ffgs_core::{ImageSize, PlanarImage};
 use std::ops::Range;
-
-/// Number of sums per entry: derivatives with respect to mean x, y; second moments of the derivative with respect to the
-/// exponent, about the ridge (e^2, e dy, dy^2); derivatives with respect to opacity; colour r, g, b.
-pub(crate) const ENTRY: usize = 9;
 
 /// Blended colour (without background) and final transmittance of one tile.
 #[derive(Clone, Debug)]

@@ -1,10 +1,8 @@
 //! Tiles of an image, and which of them are computed.
 
+use crate::constants::TILE;
 use ffgs_core::{ImageSize, Mask};
 use std::ops::{Range, RangeInclusive};
-
-/// Side of a square tile in pixels: one 16-lane vector a row.
-pub const TILE: usize = 16;
 
 /// Which tiles of a view to compute.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,11 +1,11 @@
 //! The K largest contributions of every pixel.
 
-use crate::blend::{AREA, Contribution, MIN_TRANSMITTANCE, TilePlane, Visitor, walk};
+use crate::blend::{Contribution, TilePlane, Visitor, walk};
+use crate::constants::{AREA, MIN_TRANSMITTANCE, TILE};
 use crate::cpu::CpuRasterizer;
 use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
 use crate::tile_lists::Entry;
-use crate::tiles::TILE;
 use crate::view::View;
 use ffgs_core::{Gaussians, instructions};
 use pulp::{Simd, WithSimd};

@@ -6,7 +6,7 @@ use ffgs_rasterizer_gpu::{Geometry, GpuGradients, GpuScene, Ledger};
 use ffgs_trainer::{Columns, IndexMap, LearningRates, bias_corrections};
 
 /// No row, or no column, of `carry`.
-const NEW: u32 = u32::MAX;
+pub(crate) const NEW: u32 = u32::MAX;
 /// Where a row of [`Geometry`] holds the opacity.
 const OPACITY_COLUMN: u32 = (std::mem::offset_of!(Geometry, opacity_logit) / 4) as u32;
 /// Values a Gaussian other than its colour.

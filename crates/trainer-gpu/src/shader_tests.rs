@@ -3,7 +3,7 @@
 use crate::kernels;
 use crate::layout::{AdamUniform, CarryUniform, LossUniform, PriorUniform, SkyUniform};
 use ffgs_gpu::host_layout;
-use ffgs_gpu::reflection::Reflection;
+use ffgs_gpu::reflection::{Reflection, constant_faults};
 
 #[test]
 fn every_shader_is_valid_and_within_the_guaranteed_limits() {
@@ -26,4 +26,32 @@ fn host_structs_have_the_layout_of_the_shaders() {
         let found: Vec<_> = layouts.collect();
         assert!(!found.is_empty() && found.iter().all(|shader| *shader == host), "{name}: {found:?}");
     }
+}
+
+#[test]
+fn constants_are_those_of_the_host() {
+    use ffgs_rasterizer::constants as rasterizer;
+    use ffgs_trainer::constants as host;
+    let shared = [
+        ("BETA1", f64::from(host::BETA1)),
+        ("BETA2", f64::from(host::BETA2)),
+        ("EPSILON", f64::from(host::EPSILON)),
+        ("CORRECTED_STEPS", host::CORRECTED_STEPS as f64),
+        ("C1", f64::from(host::C1)),
+        ("C2", f64::from(host::C2)),
+        ("RADIUS", host::RADIUS as f64),
+        ("HALO", (rasterizer::TILE + 2 * host::RADIUS) as f64),
+        ("TILE", rasterizer::TILE as f64),
+        ("AREA", rasterizer::AREA as f64),
+        ("ENTRY", rasterizer::ENTRY as f64),
+        ("MIN_ALPHA", f64::from(rasterizer::MIN_ALPHA)),
+        ("MAX_ALPHA", f64::from(rasterizer::MAX_ALPHA)),
+        ("MIN_TRANSMITTANCE", f64::from(rasterizer::MIN_TRANSMITTANCE)),
+        ("MIN_THROUGH", f64::from(host::MIN_THROUGH)),
+        ("RATE", f64::from(host::RUNNING_RATE as f32)),
+        ("NEW", f64::from(crate::optimiser::NEW)),
+    ];
+    // Bounds of sums of whole numbers, and a mark that the rasterizer's test compares.
+    let device_only = ["LIMIT", "NO_SLOT"];
+    assert_eq!(constant_faults(kernels::ALL, &shared, &device_only).unwrap(), [""; 0]);
 }

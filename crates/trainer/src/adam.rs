@@ -3,17 +3,12 @@
 //! Every Gaussian counts its own steps, so that one born by densification, or rarely seen, gets the bias correction
 //! of its own history.
 
+use crate::constants::{BETA1, BETA2, CORRECTED_STEPS, EPSILON};
 use crate::densify::IndexMap;
 use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Gaussians;
 use rayon::prelude::*;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-/// As in 3DGS: gradients of a mean over pixels are tiny, a larger epsilon would damp them.
-const EPSILON: f32 = 1e-15;
-/// Beyond this many steps both bias corrections are 1 within f32 rounding: 0.999^16384 = 7.6e-8.
-const CORRECTED_STEPS: usize = 16_384;
 /// Gaussians of one parallel task.
 const CHUNK: usize = 512;
 

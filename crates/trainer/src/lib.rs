@@ -5,6 +5,7 @@
 mod adam;
 mod backend;
 mod background;
+pub mod constants;
 mod cpu;
 mod densify;
 mod dynamic_lane;

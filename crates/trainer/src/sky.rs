@@ -3,6 +3,7 @@
 //! Bilinear weights are clamped at the edge of a face: colour is constant over the outer half texel, and no texel is
 //! shared by two faces.
 
+use crate::constants::MIN_THROUGH;
 use crate::simd::{Kernel, dispatch};
 use ffgs_core::{Camera, ImageSize, PlanarImage, SkyCube};
 use glam::{DVec3, Vec3};
@@ -15,8 +16,6 @@ const CHUNK: usize = 4096;
 pub const SKY_DOUBT: f32 = 0.1;
 /// Likewise in the sky lane, whose loss is half the squared error: an expected error of 0.05 at each of these pixels.
 pub const SKY_LANE_DOUBT: f32 = SKY_DOUBT * 0.05;
-/// Least transmittance at which a pixel says anything of the sky: behind less, a wall of the wrong colour outweighs it.
-const MIN_THROUGH: f32 = 0.1;
 
 /// How much the error of a pixel is the sky's: the transmittance once more, and nothing where little shows through.
 pub(crate) fn sky_share(transmittance: f32) -> f32 {

@@ -1,5 +1,6 @@
 //! What a training loop knows of its views, and how far it has come.
 
+use crate::constants::RUNNING_RATE;
 use ffgs_core::TrainingView;
 use glam::DVec3;
 
@@ -32,12 +33,9 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// Weight of the newest step: an average over some twenty views.
-    const RATE: f64 = 0.05;
-
     pub(crate) fn add(&mut self, loss: f64, mse: f64) {
         let (l, m) = self.loss.unwrap_or((loss, mse));
-        self.loss = Some((l + Self::RATE * (loss - l), m + Self::RATE * (mse - m)));
+        self.loss = Some((l + RUNNING_RATE * (loss - l), m + RUNNING_RATE * (mse - m)));
     }
 
     pub(crate) fn progress(&self, iteration: usize, iterations: usize, gaussians: usize) -> Progress {

@@ -2,6 +2,7 @@
 
 mod circles;
 mod edges;
+mod kernels;
 mod manifests;
 mod sources;
 
@@ -26,7 +27,8 @@ impl Source {
 type Finding = String;
 
 /// Files whose text the rules read; images and arrays are not text.
-const TEXT: [&str; 12] = ["rs", "toml", "md", "py", "json", "html", "css", "js", "wgsl", "sh", "yml", "lock"];
+const TEXT: [&str; 13] =
+    ["rs", "toml", "md", "py", "json", "html", "css", "js", "wgsl", "sh", "yml", "lock", "csv"];
 /// Text files without an extension.
 const BARE_TEXT: [&str; 3] = [".ci/run", ".gitignore", "LICENSE"];
 
@@ -36,6 +38,7 @@ pub fn run(root: &Path) -> Result<()> {
     let mut findings: Vec<Finding> = sources.iter().flat_map(sources::check).collect();
     findings.extend(sources.iter().flat_map(manifests::check));
     findings.extend(circles::check(&sources));
+    findings.extend(kernels::check(&sources));
     findings.extend(edges::check(root, &sources)?);
     if !findings.is_empty() {
         bail!("tidy has {} findings:\n  {}", findings.len(), findings.join("\n  "));

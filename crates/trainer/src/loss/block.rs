@@ -1,14 +1,12 @@
 //! The two passes over one band of rows and one channel: SSIM statistics, then the gradient.
 
 use super::region::Span;
-use super::window::{LANES, RADIUS, WINDOW, filter_columns, filter_row};
+use super::window::{LANES, WINDOW, filter_columns, filter_row};
 use super::{BAND, MAX_COLUMNS, Padded};
+use crate::constants::{C1, C2, RADIUS};
 use crate::simd::{Kernel, fma};
 use ffgs_core::{ImageSize, Mask};
 
-/// Constants of SSIM for a dynamic range of 1 (Wang et al. 2004).
-const C1: f32 = 0.01 * 0.01;
-const C2: f32 = 0.03 * 0.03;
 /// Rows a band needs, its own and the window's reach.
 const ROWS: usize = BAND + 2 * RADIUS;
 /// Samples of one loaded row.

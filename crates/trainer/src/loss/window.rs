@@ -1,11 +1,10 @@
 //! The 11-tap Gaussian window of SSIM on fixed-size chunks.
 
+use crate::constants::RADIUS;
 use crate::simd::fma;
 
 /// Columns a chunk of the filters handles: one AVX-512 register, two of AVX2.
 pub(super) const LANES: usize = 16;
-/// Half width of the window (px).
-pub(super) const RADIUS: usize = 5;
 
 /// One half and the centre of the normalised window, sigma = 1.5 px (Wang et al. 2004; 3DGS `loss_utils.py`):
 /// `exp(-d^2 / 4.5)` for d = 5, 4, 3, 2, 1, 0, divided by the sum over all 11 taps.
