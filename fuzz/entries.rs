@@ -19,10 +19,10 @@ use std::path::Path;
 use tempfile::TempDir;
 
 /// A parser of a file's bytes, which says whether it accepts them.
-pub type Entry = fn(&[u8]) -> bool;
+pub(crate) type Entry = fn(&[u8]) -> bool;
 
 /// Name and parser of every kind of file that is read.
-pub const ENTRIES: [(&str, Entry); 33] = [
+pub(crate) const ENTRIES: [(&str, Entry); 33] = [
     ("npy", npy),
     ("npz", npz),
     ("npz_array", npz_array),

@@ -51,7 +51,7 @@ const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gauss
 const LEAST_PSNR: f64 = 15.0;
 
 /// Runs the steps in order, or only the named ones; stops at the first failure and closes with the test count.
-pub fn run(root: &Path, only: &[String]) -> Result<()> {
+pub(crate) fn run(root: &Path, only: &[String]) -> Result<()> {
     let steps = chosen(only)?;
     let mut rows = Vec::new();
     let mut skipped = Vec::new();

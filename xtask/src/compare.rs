@@ -8,7 +8,7 @@ use std::process::Command;
 
 /// Capture, folder and iterations of the comparison.
 #[derive(clap::Args)]
-pub struct Options {
+pub(crate) struct Options {
     /// Folder of the capture.
     #[arg(default_value = ffgs::SAMPLE)]
     capture: PathBuf,
@@ -21,11 +21,11 @@ pub struct Options {
 }
 
 const HEAD: &str = "\
-| initialisation | iterations | trackside PSNR | MPSNR | SSIM | all views PSNR | MPSNR | SSIM | s a frame |
+| initialisation | iterations | trackside PSNR | MPSNR | SSIM | all views PSNR | MPSNR | SSIM | s per frame |
 |---|---|---|---|---|---|---|---|---|";
 
 /// Trains one first frame, runs every initialisation from it and prints a row for each.
-pub fn run(root: &Path, options: &Options) -> Result<()> {
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let program = ffgs::build(root)?;
     let first = options.out.join("first");
     let methods = methods(&options.capture)?;

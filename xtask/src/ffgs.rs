@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, ExitStatus};
 
 /// The capture that ships with the repository.
-pub const SAMPLE: &str = "fixtures/scenes/fairmont-mini";
+pub(crate) const SAMPLE: &str = "fixtures/scenes/fairmont-mini";
 
 /// A program, and those of its commands that `cargo xtask` hands on.
 struct Program {
@@ -27,7 +27,7 @@ const LAB: Program =
     Program { package: "ffgs-lab", name: "ffgs-lab", commands: &["motion-eval", "simulate", "ablations"] };
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
-pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
+pub(crate) fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
     let plan = RunPlan::new(args, &shown(root));
     let program = build(root)?;
     let status = start(root, &program, &plan.words())?;
@@ -39,7 +39,7 @@ pub fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {
 }
 
 /// Any other command of a program, with its own arguments.
-pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
+pub(crate) fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
     let name = args.first().map_or("", String::as_str);
     let Some(program) = [FFGS, LAB].into_iter().find(|program| program.commands.contains(&name)) else {
         bail!("no command `{name}`; `cargo xtask --help` lists them");
@@ -48,12 +48,12 @@ pub fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
 }
 
 /// Builds the release binary of `ffgs` and returns its path.
-pub fn build(root: &Path) -> Result<PathBuf> {
+pub(crate) fn build(root: &Path) -> Result<PathBuf> {
     build_in(root, "release")
 }
 
 /// Builds `ffgs` with a profile, `release` or `dev`, and returns its path.
-pub fn build_in(root: &Path, profile: &str) -> Result<PathBuf> {
+pub(crate) fn build_in(root: &Path, profile: &str) -> Result<PathBuf> {
     FFGS.build(root, profile)
 }
 
@@ -127,7 +127,7 @@ impl RunPlan {
 }
 
 /// Where a run of `capture` is written unless `--out` says otherwise.
-pub fn default_out(root: &Path, capture: &str) -> PathBuf {
+pub(crate) fn default_out(root: &Path, capture: &str) -> PathBuf {
     let absolute = Path::new(capture).canonicalize().unwrap_or_else(|_| PathBuf::from(capture));
     let name = absolute.file_name().map_or_else(|| "run".into(), ToOwned::to_owned);
     root.join("out").join(name)

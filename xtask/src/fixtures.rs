@@ -25,7 +25,7 @@ struct Entry {
 }
 
 /// Compares the files with the manifest; the summary line, or an error that lists every difference.
-pub fn check(root: &Path) -> Result<String> {
+pub(crate) fn check(root: &Path) -> Result<String> {
     let text = std::fs::read_to_string(root.join(MANIFEST))
         .with_context(|| format!("{MANIFEST}: cannot read it; `cargo xtask fixtures update` writes it"))?;
     let found = scan(root)?;
@@ -41,7 +41,7 @@ pub fn check(root: &Path) -> Result<String> {
 }
 
 /// Writes the manifest from the files that are there; refuses when a size limit is broken.
-pub fn update(root: &Path) -> Result<String> {
+pub(crate) fn update(root: &Path) -> Result<String> {
     let found = scan(root)?;
     let faults = over_limit(&found);
     if !faults.is_empty() {

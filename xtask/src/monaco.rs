@@ -20,7 +20,7 @@ const BLENDER_LIBRARIES: [&str; 7] =
 
 /// What is installed: enough for the tests without Blender, or everything.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Extent {
+pub(crate) enum Extent {
     /// `requirements-test.txt`
     Tests,
     /// `requirements.txt`: Blender (`bpy`) and Snakemake as well.
@@ -37,7 +37,7 @@ impl Extent {
 }
 
 /// `cargo xtask monaco ARGS`: `python -m monaco ARGS`, in the folder of the caller.
-pub fn run(root: &Path, args: &[String]) -> Result<ExitCode> {
+pub(crate) fn run(root: &Path, args: &[String]) -> Result<ExitCode> {
     let environment = Environment::open(root)?;
     environment.install(Extent::Rendering, Pip::Talks)?;
     let words = if args.is_empty() { vec!["--help".to_owned()] } else { args.to_vec() };
@@ -48,7 +48,7 @@ pub fn run(root: &Path, args: &[String]) -> Result<ExitCode> {
 
 /// Whether pip shows its progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Pip {
+pub(crate) enum Pip {
     /// Progress bars and the names of the packages.
     Talks,
     /// Errors only.
@@ -57,14 +57,14 @@ pub enum Pip {
 
 /// A virtual environment with Python 3.11.
 #[derive(Debug)]
-pub struct Environment {
+pub(crate) struct Environment {
     sources: PathBuf,
     folder: PathBuf,
 }
 
 impl Environment {
     /// Opens the environment; makes it where it is missing or its Python is gone.
-    pub fn open(root: &Path) -> Result<Self> {
+    pub(crate) fn open(root: &Path) -> Result<Self> {
         let folder = workspace::target(root).join("monaco-venv");
         let environment = Self { sources: root.join(SOURCES), folder };
         if !is_usable(&environment.interpreter()) {
@@ -86,7 +86,7 @@ impl Environment {
     }
 
     /// Installs the pinned packages unless that has been done; an interrupted installation is taken up again.
-    pub fn install(&self, extent: Extent, pip: Pip) -> Result<()> {
+    pub(crate) fn install(&self, extent: Extent, pip: Pip) -> Result<()> {
         let pins = self.pins()?;
         let mark = self.folder.join(format!("{}.installed", extent.requirements()));
         if std::fs::read_to_string(&mark).is_ok_and(|text| text == pins) {
@@ -143,14 +143,14 @@ impl Environment {
     }
 
     /// This environment's Python with the generator on its path.
-    pub fn python(&self) -> Command {
+    pub(crate) fn python(&self) -> Command {
         let mut command = Command::new(self.interpreter());
         command.env("PYTHONPATH", &self.sources);
         command
     }
 
     /// The same, started in the generator's folder, where its tests and its linter are configured.
-    pub fn python_at_home(&self) -> Command {
+    pub(crate) fn python_at_home(&self) -> Command {
         let mut command = self.python();
         command.current_dir(&self.sources);
         command

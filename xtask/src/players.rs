@@ -13,7 +13,7 @@ const PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 const READER: &str = "node_modules/@playcanvas/splat-transform/bin/cli.mjs";
 
 /// Installs splat-transform and the PlayCanvas engine below the target folder, once per version; returns where.
-pub fn install(root: &Path) -> Result<PathBuf> {
+pub(crate) fn install(root: &Path) -> Result<PathBuf> {
     let (source, home) = (root.join("xtask/players"), workspace::target(root).join("players"));
     let stamp = home.join("installed.json");
     let lock = std::fs::read(source.join(PACKAGES[1]))?;
@@ -34,7 +34,7 @@ pub fn install(root: &Path) -> Result<PathBuf> {
 }
 
 /// The variable that the tests of `splats` look for, and its value.
-pub fn judge(root: &Path) -> Result<(&'static str, OsString)> {
+pub(crate) fn judge(root: &Path) -> Result<(&'static str, OsString)> {
     require_node()?;
     Ok(("FFGS_SPLAT_TRANSFORM", install(root)?.join(READER).into_os_string()))
 }

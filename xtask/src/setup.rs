@@ -29,12 +29,12 @@ const TEST_REQUIREMENTS: [Requirement; 2] = [
 ];
 
 /// Installs what building and running need and is missing; silent when nothing is.
-pub fn run() -> Result<()> {
+pub(crate) fn run() -> Result<()> {
     install(&missing(&REQUIREMENTS, is_present))
 }
 
 /// As [`run`], and what the tests need.
-pub fn run_for_tests() -> Result<()> {
+pub(crate) fn run_for_tests() -> Result<()> {
     let mut packages = missing(&REQUIREMENTS, is_present);
     if cfg!(target_os = "linux") {
         packages.extend(missing(&TEST_REQUIREMENTS, is_present));
@@ -54,7 +54,7 @@ fn is_present(probe: &Probe) -> bool {
 }
 
 /// Installs Debian packages where that is possible, otherwise says how to.
-pub fn install(packages: &[&str]) -> Result<()> {
+pub(crate) fn install(packages: &[&str]) -> Result<()> {
     if packages.is_empty() {
         return Ok(());
     }

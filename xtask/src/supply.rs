@@ -11,7 +11,7 @@ const REASONS: &str = "docs/DEPENDENCIES.md";
 
 /// Compares the direct dependencies with their page, and writes a bill of materials (CycloneDX) when asked for one.
 /// Returns what was looked at. Licences and sources are `cargo xtask ci licences`.
-pub fn run(root: &Path, sbom: Option<&Path>) -> Result<String> {
+pub(crate) fn run(root: &Path, sbom: Option<&Path>) -> Result<String> {
     let metadata = metadata(root)?;
     let page =
         std::fs::read_to_string(root.join(REASONS)).with_context(|| format!("cannot read {REASONS}"))?;

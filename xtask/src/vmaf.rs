@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The variable in which `ffgs eval` looks for it.
-pub const VARIABLE: &str = "FFGS_FFMPEG";
+pub(crate) const VARIABLE: &str = "FFGS_FFMPEG";
 const PACKAGE: &str = "imageio-ffmpeg==0.8.1";
 const PRINT_PATH: &str = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())";
 
@@ -16,13 +16,13 @@ fn note(root: &Path) -> PathBuf {
 }
 
 /// The installed program; `None` where it is not installed.
-pub fn installed(root: &Path) -> Option<PathBuf> {
+pub(crate) fn installed(root: &Path) -> Option<PathBuf> {
     let program = PathBuf::from(std::fs::read_to_string(note(root)).ok()?.trim());
     program.is_file().then_some(program)
 }
 
 /// Installs it in a virtual environment below the target folder, once per version.
-pub fn install(root: &Path) -> Result<()> {
+pub(crate) fn install(root: &Path) -> Result<()> {
     if installed(root).is_some() {
         return Ok(());
     }

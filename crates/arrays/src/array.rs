@@ -18,6 +18,9 @@ impl<T> Array<T> {
     }
 
     /// The only entry of an array with one entry (shape `()` or all ones).
+    ///
+    /// # Errors
+    /// When the array has another shape than one value.
     pub fn scalar(&self) -> Result<T, ArraysError>
     where
         T: Copy,

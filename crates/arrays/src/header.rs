@@ -24,7 +24,7 @@ pub(crate) struct Dtype {
 
 impl Header {
     /// Reads magic, version, length and dictionary; leaves the reader at the data.
-    pub fn read(reader: &mut impl Read) -> Result<Self, Cause> {
+    pub(crate) fn read(reader: &mut impl Read) -> Result<Self, Cause> {
         let mut start = [0; 8];
         reader.read_exact(&mut start).map_err(|_| Cause::Header("shorter than 8 bytes".into()))?;
         if &start[..6] != b"\x93NUMPY" {

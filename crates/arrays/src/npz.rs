@@ -19,11 +19,17 @@ pub struct NpzFile {
 
 impl NpzFile {
     /// Opens the file and reads its directory; no array is read yet.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is no archive.
     pub fn open(path: &Path) -> Result<Self, ArraysError> {
         Self::open_within(path, MAX_BYTES)
     }
 
     /// As [`NpzFile::open`], refusing arrays whose header claims more than `max_bytes` before they are unpacked.
+    ///
+    /// # Errors
+    /// As [`NpzFile::open`], or when the archive is larger than `max_bytes` unpacked.
     pub fn open_within(path: &Path, max_bytes: usize) -> Result<Self, ArraysError> {
         let open = || -> Result<_, Cause> {
             let file = BufReader::new(open_input(path)?);
@@ -51,32 +57,50 @@ impl NpzFile {
     }
 
     /// Reads an array as `T` from whatever numeric dtype it has.
+    ///
+    /// # Errors
+    /// When the array is missing or damaged, or of no type that converts to `T`.
     pub fn read<T: Element>(&self, name: &str) -> Result<Array<T>, ArraysError> {
         self.entry(name, Accepted { shape: None, bytes: self.max_bytes })
     }
 
     /// As [`NpzFile::read`]; any other shape is refused from the header, before the entries are unpacked. `None` stands
     /// for any length of that axis.
+    ///
+    /// # Errors
+    /// As [`NpzFile::read`], or when the shape is another.
     pub fn shaped<T: Element>(&self, name: &str, shape: &[Option<usize>]) -> Result<Array<T>, ArraysError> {
         self.entry(name, Accepted { shape: Some(shape), bytes: self.max_bytes })
     }
 
     /// Reads an array as f32.
+    ///
+    /// # Errors
+    /// As [`NpzFile::read`].
     pub fn f32(&self, name: &str) -> Result<Array<f32>, ArraysError> {
         self.read(name)
     }
 
     /// Reads an array as f64.
+    ///
+    /// # Errors
+    /// As [`NpzFile::read`].
     pub fn f64(&self, name: &str) -> Result<Array<f64>, ArraysError> {
         self.read(name)
     }
 
     /// Reads an array of whole numbers as i64.
+    ///
+    /// # Errors
+    /// As [`NpzFile::read`].
     pub fn i64(&self, name: &str) -> Result<Array<i64>, ArraysError> {
         self.read(name)
     }
 
     /// Reads an array of whole numbers in 0..=255, or of bool (0 or 1), as u8.
+    ///
+    /// # Errors
+    /// As [`NpzFile::read`].
     pub fn u8(&self, name: &str) -> Result<Array<u8>, ArraysError> {
         self.read(name)
     }

@@ -44,6 +44,9 @@ impl NpzWriter {
     }
 
     /// Writes the file through a temporary one and a rename.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ArraysError> {
         write_atomically(path, |w| self.write_archive(w))
             .map_err(|e: io::Error| ArraysError::new(path, None, e))

@@ -22,6 +22,9 @@ pub struct Media {
 
 impl Media {
     /// Looks through `folder`. Hidden files and folders of masks are passed over.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
     pub fn find(folder: &Path) -> Result<Self, CalibrationError> {
         let mut media = Self::default();
         media.visit(folder, DEPTH)?;

@@ -5,6 +5,9 @@ use std::path::Path;
 /// Writes `path` through a temporary file beside it and a rename, so that a reader (or a resumed run) sees the
 /// whole file or none, after a power failure too: the file, its name and new folders are on the disk when this returns,
 /// where the system can say so. Missing parent folders are created. On an error the temporary file is removed.
+///
+/// # Errors
+/// When the file cannot be written or renamed, or `write` fails; nothing is left under its name then.
 pub fn write_atomically<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,

@@ -104,6 +104,10 @@ impl Camera {
     const RIGID_TOLERANCE: f64 = 1e-3;
 
     /// `camera_from_world` is a 4x4 rigid transform with OpenCV axes (metres).
+    ///
+    /// # Errors
+    /// When a number is not finite, a focal length is not positive, the matrix is no rotation, or the image is empty or too
+    /// large.
     pub fn new(
         intrinsics: Intrinsics,
         camera_from_world: DMat4,
@@ -140,6 +144,9 @@ impl Camera {
     const PLAUSIBLE_COORDINATE: f64 = 1e9;
 
     /// Refuses what is no number of any lens or scene, such as 1e300: a file that is damaged, not a camera.
+    ///
+    /// # Errors
+    /// When the focal lengths, the principal point or the position are outside the plausible range.
     pub fn check_plausible(&self) -> Result<(), CameraError> {
         let side = self.size.width.max(self.size.height) as f64;
         let Intrinsics { fx, fy, cx, cy } = self.intrinsics;

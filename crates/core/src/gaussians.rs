@@ -95,6 +95,9 @@ impl Gaussians {
     }
 
     /// Checks the invariant; call after filling the columns from a file.
+    ///
+    /// # Errors
+    /// When the columns differ in length, or the SH coefficients are those of no degree.
     pub fn validate(&self) -> Result<(), ShapeError> {
         let n = self.len();
         let lengths = [self.quats.len(), self.log_scales.len(), self.opacity_logits.len()];

@@ -1,6 +1,6 @@
 use crate::ImageSize;
 
-/// A binary foreground mask, one byte a pixel, 0 or 1.
+/// A binary foreground mask, one byte per pixel, 0 or 1.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
     size: ImageSize,

@@ -67,7 +67,7 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
-    pub fn camera(&self) -> Result<Camera, CameraError> {
+    pub(crate) fn camera(&self) -> Result<Camera, CameraError> {
         let camera = Camera::new(self.intrinsics, self.camera_from_world, self.size)?;
         camera.check_plausible().map(|()| camera)
     }
@@ -75,7 +75,7 @@ impl Entry {
 
 impl Meta {
     /// Reads the file; views are those of its first frame, matched in later frames by camera id and folder.
-    pub fn read(file: &Path) -> Result<Self, DatasetError> {
+    pub(crate) fn read(file: &Path) -> Result<Self, DatasetError> {
         let text = read_text(file, MAX_META_BYTES).map_err(|source| DatasetError::io(file, source))?;
         let meta = |reason: String| DatasetError::Meta { file: file.to_owned(), reason };
         let parsed: MetaFile = serde_json::from_str(&nan_to_null(&text)).map_err(|e| meta(e.to_string()))?;
@@ -83,7 +83,7 @@ impl Meta {
     }
 
     /// As [`Meta::read`]; no views when there is no such file.
-    pub fn read_optional(file: &Path) -> Result<Self, DatasetError> {
+    pub(crate) fn read_optional(file: &Path) -> Result<Self, DatasetError> {
         if is_present(file) { Self::read(file) } else { Ok(Self::default()) }
     }
 }

@@ -71,7 +71,7 @@ impl Normal {
 const DAMPING: f64 = 0.01;
 
 /// A cell's departure from its group's motion.
-pub struct Departing {
+pub(crate) struct Departing {
     views: Vec<View>,
     /// The departure on which the views agree best (m).
     offset: DVec3,
@@ -85,7 +85,7 @@ pub struct Departing {
 
 impl Departing {
     /// Of a cell's members about their group's motion; `None` where too few views show it.
-    pub fn new(
+    pub(crate) fn new(
         observed: &ViewObservations,
         previous: &[DVec3],
         members: &[usize],
@@ -129,17 +129,17 @@ impl Departing {
     }
 
     /// Logarithm of the odds of a departure against none, where a view of the group has the `variance` (px^2).
-    pub fn evidence(&self, variance: f64) -> f64 {
+    pub(crate) fn evidence(&self, variance: f64) -> f64 {
         self.odds(self.covariance(variance))
     }
 
     /// Covariance of the offset (m^2). Views that contradict each other here know less than those of the group's other cells.
-    pub fn covariance(&self, variance: f64) -> Symmetric {
+    pub(crate) fn covariance(&self, variance: f64) -> Symmetric {
         self.cofactor * variance.max(self.variance)
     }
 
     /// The same, against what trackers get wrong alike in all views.
-    pub fn cautious_evidence(&self, variance: f64) -> f64 {
+    pub(crate) fn cautious_evidence(&self, variance: f64) -> f64 {
         let moved = self.step + self.offset;
         let across = Symmetric::scalar((ACROSS * moved.length()).powi(2));
         self.odds(self.covariance(variance) + Symmetric::outer(moved) * ALONG.powi(2) + across)

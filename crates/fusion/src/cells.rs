@@ -91,7 +91,7 @@ fn gap(values: impl Iterator<Item = f64>, low: f64, high: f64) -> Option<f64> {
 }
 
 /// Smallest and largest coordinates.
-pub fn bounds(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
+pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
     points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
 }
 

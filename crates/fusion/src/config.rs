@@ -73,7 +73,7 @@ impl Default for FusionConfig {
 }
 
 impl FusionConfig {
-    /// Algorithm 1 to the letter.
+    /// Our most literal reading of Algorithm 1.
     pub fn literal() -> Self {
         Self { structure: Structure::None, ..Self::default() }
     }

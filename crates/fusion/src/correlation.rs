@@ -12,7 +12,7 @@ const CLIP: f64 = 3.0;
 const CHUNK: usize = 4096;
 
 /// Mean product of two trackers' normalised errors about the priors.
-pub fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
+pub(crate) fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales: &[Vec<f64>]) -> f64 {
     let of_chunk = |(chunk, priors): (usize, &[Option<Prior>])| {
         let mut sums = Products::default();
         let mut errors = Vec::new();

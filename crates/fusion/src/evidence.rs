@@ -6,15 +6,15 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Median of a chi-squared variable with three degrees of freedom.
-pub const MEDIAN_CHI2: f64 = 2.366;
+pub(crate) const MEDIAN_CHI2: f64 = 2.366;
 /// Squared Mahalanobis distance at which a robust weight falls to a quarter: far in the tail of a consistent estimate.
 const TAIL: f64 = 12.0;
 /// Least factor on a tracker's covariances; keeps weights finite where estimates agree exactly.
-pub const MIN_SCALE: f64 = 1e-6;
+pub(crate) const MIN_SCALE: f64 = 1e-6;
 
 /// One tracker's estimate of one Gaussian.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Told {
+pub(crate) struct Told {
     /// Place at t (m).
     pub mean: DVec3,
     /// Inverse covariance (1/m^2); zero where there is no usable estimate.
@@ -29,14 +29,14 @@ impl Told {
     }
 
     /// An information matrix has a positive diagonal.
-    pub fn usable(&self) -> bool {
+    pub(crate) fn usable(&self) -> bool {
         self.information.xx > 0.0
     }
 }
 
 /// All trackers' estimates of one Gaussian together.
 #[derive(Clone, Copy, Debug)]
-pub struct Combined {
+pub(crate) struct Combined {
     /// Mean of the estimates weighted by information over scale (m).
     pub mean: DVec3,
     /// Sum of their informations over scale (1/m^2).
@@ -46,14 +46,14 @@ pub struct Combined {
 }
 
 /// Estimates of L trackers for N Gaussians.
-pub struct Evidence {
+pub(crate) struct Evidence {
     trackers: usize,
     /// (N, L) estimates.
     told: Vec<Told>,
 }
 
 impl Evidence {
-    pub fn new(estimates: &[Estimates]) -> Self {
+    pub(crate) fn new(estimates: &[Estimates]) -> Self {
         let (n, trackers) = (estimates.first().map_or(0, |e| e.status.len()), estimates.len());
         let mut told = vec![Told::default(); n * trackers];
         told.par_chunks_mut(trackers.max(1)).enumerate().for_each(|(i, row)| {
@@ -63,27 +63,27 @@ impl Evidence {
     }
 
     /// Number of trackers L.
-    pub fn trackers(&self) -> usize {
+    pub(crate) fn trackers(&self) -> usize {
         self.trackers
     }
 
     /// (L) estimates of a Gaussian.
-    pub fn all(&self, i: usize) -> &[Told] {
+    pub(crate) fn all(&self, i: usize) -> &[Told] {
         &self.told[i * self.trackers..(i + 1) * self.trackers]
     }
 
     /// The usable estimates of a Gaussian, each with the number of its tracker.
-    pub fn of(&self, i: usize) -> impl Iterator<Item = (usize, &Told)> {
+    pub(crate) fn of(&self, i: usize) -> impl Iterator<Item = (usize, &Told)> {
         self.all(i).iter().enumerate().filter(|t| t.1.usable())
     }
 
     /// Whether any tracker measured Gaussian `i`.
-    pub fn measured(&self, i: usize) -> bool {
+    pub(crate) fn measured(&self, i: usize) -> bool {
         self.all(i).iter().any(Told::usable)
     }
 
     /// What all trackers together say with (L) factors `scales` on their covariances.
-    pub fn combined(&self, i: usize, scales: &[f64]) -> Option<Combined> {
+    pub(crate) fn combined(&self, i: usize, scales: &[f64]) -> Option<Combined> {
         let (mut information, mut vector, mut origin) = (Symmetric::default(), DVec3::ZERO, None);
         for (l, told) in self.of(i) {
             let scaled = told.information * scales[l].recip();
@@ -98,7 +98,7 @@ impl Evidence {
 
 /// Redescending weight of a squared Mahalanobis distance.
 #[inline(always)]
-pub fn robust_weight(distance: f64) -> f64 {
+pub(crate) fn robust_weight(distance: f64) -> f64 {
     let t = 1.0 + distance / TAIL;
     (t * t).recip()
 }

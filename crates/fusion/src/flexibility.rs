@@ -10,7 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// What one frame says of every Gaussian's flexibility, columns of length N.
-pub struct Flexibility {
+pub(crate) struct Flexibility {
     /// Probability that it departs from its group's motion.
     pub probability: Vec<f64>,
     /// Evidence of this and earlier frames for the next one.
@@ -37,7 +37,7 @@ const LEAST_NOISE: f64 = 0.05;
 
 impl Flexibility {
     /// Of N Gaussians of which nothing is known: they are as rigid as their groups.
-    pub fn none(n: usize) -> Self {
+    pub(crate) fn none(n: usize) -> Self {
         Self {
             probability: vec![0.0; n],
             evidence: vec![0.0; n],
@@ -47,7 +47,7 @@ impl Flexibility {
     }
 
     /// Of the cells of `groups`. `remembered` (N) is the evidence of the last frame, if there is any.
-    pub fn new(
+    pub(crate) fn new(
         previous: &[DVec3],
         observed: &ViewObservations,
         groups: &Groups,

@@ -300,6 +300,6 @@ fn check(input: &FusionInput) -> Result<(), FusionError> {
 }
 
 /// Refuses a column of another length.
-pub fn check_column(column: &'static str, found: usize, expected: usize) -> Result<(), FusionError> {
+pub(crate) fn check_column(column: &'static str, found: usize, expected: usize) -> Result<(), FusionError> {
     if found == expected { Ok(()) } else { Err(FusionError::Column { column, found, expected }) }
 }

@@ -96,7 +96,7 @@ pub struct Groups {
 }
 
 /// Finds the groups. `previous` (N, m) are the places at t-1.
-pub fn discover(previous: &[DVec3], evidence: &Evidence, config: &GroupsConfig) -> Groups {
+pub(crate) fn discover(previous: &[DVec3], evidence: &Evidence, config: &GroupsConfig) -> Groups {
     let size = config.cell.max(previous.len().div_ceil(config.max_cells.max(1)));
     let cells = Cells::new(previous, size);
     let search = Search::new(previous, evidence, config, &cells);

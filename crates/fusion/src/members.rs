@@ -32,7 +32,7 @@ struct Residual {
 }
 
 /// M members and what L trackers say of them, in B blocks.
-pub struct Members {
+pub(crate) struct Members {
     /// Their mean place at t-1 (m).
     pub centre: DVec3,
     trackers: usize,
@@ -44,14 +44,14 @@ pub struct Members {
 
 impl Members {
     /// Of `members`, at least one, with their places `previous` (N, m) at t-1.
-    pub fn new(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -> Self {
+    pub(crate) fn new(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -> Self {
         let first = previous[members[0]];
         let offsets = members.iter().map(|&i| previous[i] - first).sum::<DVec3>();
         Self::about(first + offsets / members.len() as f64, evidence, previous, members)
     }
 
     /// About a given centre (m).
-    pub fn about(centre: DVec3, evidence: &Evidence, previous: &[DVec3], members: &[usize]) -> Self {
+    pub(crate) fn about(centre: DVec3, evidence: &Evidence, previous: &[DVec3], members: &[usize]) -> Self {
         let (trackers, blocks) = (evidence.trackers(), members.len().div_ceil(LANES));
         let mut places = vec![[[0.0; LANES]; 3]; blocks];
         let mut told = vec![ToldBlock::default(); blocks * trackers];
@@ -72,12 +72,12 @@ impl Members {
     }
 
     /// Number of trackers L.
-    pub fn trackers(&self) -> usize {
+    pub(crate) fn trackers(&self) -> usize {
         self.trackers
     }
 
     /// The usable displacements of all trackers along an axis (m).
-    pub fn steps(&self, axis: usize) -> Vec<f64> {
+    pub(crate) fn steps(&self, axis: usize) -> Vec<f64> {
         let mut steps = Vec::with_capacity(self.told.len() * LANES);
         for (k, told) in self.told.iter().enumerate() {
             let from = &self.places[k / self.trackers][axis];
@@ -88,7 +88,7 @@ impl Members {
     }
 
     /// The members about a motion around their centre.
-    pub fn residuals(&self, motion: &RigidMotion) -> Residuals<'_> {
+    pub(crate) fn residuals(&self, motion: &RigidMotion) -> Residuals<'_> {
         let arms = vec![[[0.0; LANES]; 3]; self.places.len()];
         let mut out = Residuals { members: self, arms, blocks: vec![Residual::default(); self.told.len()] };
         out.update(motion);
@@ -97,7 +97,7 @@ impl Members {
 }
 
 /// Members about a motion.
-pub struct Residuals<'a> {
+pub(crate) struct Residuals<'a> {
     members: &'a Members,
     /// (B) turned places at t-1 from the centre (m).
     arms: Vec<[Lanes; 3]>,
@@ -107,7 +107,7 @@ pub struct Residuals<'a> {
 
 impl Residuals<'_> {
     /// About another motion.
-    pub fn update(&mut self, motion: &RigidMotion) {
+    pub(crate) fn update(&mut self, motion: &RigidMotion) {
         let rotation = DMat3::from_quat(motion.rotation).transpose();
         let rows = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|r| r.to_array());
         let step = motion.step + (motion.centre - self.members.centre);
@@ -115,7 +115,7 @@ impl Residuals<'_> {
     }
 
     /// Squared Mahalanobis distances of one tracker's usable estimates, in `out`.
-    pub fn distances(&self, tracker: usize, out: &mut Vec<f64>) {
+    pub(crate) fn distances(&self, tracker: usize, out: &mut Vec<f64>) {
         out.clear();
         let trackers = self.members.trackers;
         let mine = self.members.told.iter().zip(&self.blocks).skip(tracker).step_by(trackers.max(1));
@@ -126,7 +126,7 @@ impl Residuals<'_> {
     }
 
     /// Robustly weighted normal equations with (L) factors `scales` on the trackers' covariances.
-    pub fn normal(&self, scales: &[f64]) -> Normal {
+    pub(crate) fn normal(&self, scales: &[f64]) -> Normal {
         let mut sums = [[0.0; LANES]; TERMS];
         instructions().dispatch(Sum { of: self, scales, sums: &mut sums });
         Normal::new(&sums.map(|lanes| lanes.iter().sum::<f64>()))

@@ -11,7 +11,7 @@ use nalgebra::{Matrix6, Vector6};
 
 /// A fitted motion.
 #[derive(Clone, Debug)]
-pub struct MotionFit {
+pub(crate) struct MotionFit {
     /// The motion; its centre is the mean of the members at t-1.
     pub motion: RigidMotion,
     /// Per tracker: robust variance of its estimates about the motion over what they claim.
@@ -27,7 +27,7 @@ const CONVERGED: f64 = 1e-4;
 
 /// Fits the motion of the members by re-weighted least squares from `start`; every tracker's noise is scaled to what
 /// its estimates show. `None` when the members do not determine a motion.
-pub fn fit_motion(members: &Members, start: RigidMotion) -> Option<MotionFit> {
+pub(crate) fn fit_motion(members: &Members, start: RigidMotion) -> Option<MotionFit> {
     let centre = members.centre;
     let mut motion = RigidMotion { centre, rotation: start.rotation, step: start.apply(centre) - centre };
     let mut residuals = members.residuals(&motion);
@@ -65,7 +65,7 @@ const CLUSTERS: usize = 16;
 /// Covariance of (step, rotation vector) by delete-one jackknife over compact clusters of the members (which must be
 /// in spatial order), plus that over trackers: errors are shared over a surface and within a tracker, so formal
 /// covariances are far too small.
-pub fn jackknife(
+pub(crate) fn jackknife(
     evidence: &Evidence,
     previous: &[DVec3],
     members: &[usize],
@@ -105,7 +105,7 @@ fn delete_one(groups: &[Normal]) -> Matrix6<f64> {
 }
 
 /// Covariance (m^2) of a place moved by a motion with covariance `of_motion`, at `arm` from its centre.
-pub fn place_covariance(of_motion: &Matrix6<f64>, arm: DVec3) -> Symmetric {
+pub(crate) fn place_covariance(of_motion: &Matrix6<f64>, arm: DVec3) -> Symmetric {
     let block = |row: usize, column: usize| {
         DMat3::from_cols_slice(of_motion.fixed_view::<3, 3>(row, column).into_owned().as_slice())
     };

@@ -18,7 +18,7 @@ pub struct StructureConfig {
     pub min_measured: usize,
     /// Most neighbourhoods fitted; Gaussians blend the nearest ones.
     pub max_seeds: usize,
-    /// Neighbourhoods a Gaussian blends.
+    /// Neighbourhoods that each Gaussian blends.
     pub blend: usize,
     /// Neighbours that share their error: 200 neighbours count as 200 / this many independent ones. Measured on two
     /// simulated cars: 25 raises the error by a sixth and does not improve the calibration.

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix6, Vector6};
 
 /// Distinct entries of the normal equations: 6 of the step, 9 between step and turn, 6 of the turn, 6 on the right.
-pub const TERMS: usize = 27;
+pub(crate) const TERMS: usize = 27;
 
 /// Where the entries are in the matrix; the right side follows.
 #[rustfmt::skip]
@@ -15,18 +15,18 @@ const PLACES: [(usize, usize); 21] = [
 
 /// Normal equations over (step, rotation vector).
 #[derive(Clone, Copy)]
-pub struct Normal {
+pub(crate) struct Normal {
     pub a: Matrix6<f64>,
     pub b: Vector6<f64>,
 }
 
 impl Normal {
-    pub fn zero() -> Self {
+    pub(crate) fn zero() -> Self {
         Self { a: Matrix6::zeros(), b: Vector6::zeros() }
     }
 
     /// From the upper triangle block by block (step, step and turn, turn) and the right side.
-    pub fn new(terms: &[f64; TERMS]) -> Self {
+    pub(crate) fn new(terms: &[f64; TERMS]) -> Self {
         let mut out = Self::zero();
         for (&(row, column), &value) in PLACES.iter().zip(terms) {
             (out.a[(row, column)], out.a[(column, row)]) = (value, value);
@@ -36,17 +36,17 @@ impl Normal {
     }
 
     /// With a rotation that changes by no more than about 0.3 rad without evidence; the solution stays the same.
-    pub fn damped(mut self) -> Self {
+    pub(crate) fn damped(mut self) -> Self {
         (3..6).for_each(|k| self.a[(k, k)] += 11.0);
         self
     }
 
-    pub fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         self.a += other.a;
         self.b += other.b;
     }
 
-    pub fn solve(&self) -> Option<Vector6<f64>> {
+    pub(crate) fn solve(&self) -> Option<Vector6<f64>> {
         let x = self.a.cholesky()?.solve(&self.b);
         x.iter().all(|v| v.is_finite()).then_some(x)
     }

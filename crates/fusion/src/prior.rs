@@ -3,7 +3,7 @@ use glam::{DQuat, DVec3};
 
 /// Prior of one Gaussian.
 #[derive(Clone, Copy, Debug)]
-pub struct Prior {
+pub(crate) struct Prior {
     /// Predicted place (m).
     pub mean: DVec3,
     /// Covariance of the predicted motion (m^2), without that of the place at t-1.

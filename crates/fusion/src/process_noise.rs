@@ -3,7 +3,7 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 
 /// The median as numpy defines it (mean of the two middle values); `None` of nothing.
-pub fn median(values: &mut [f64]) -> Option<f64> {
+pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
     }
@@ -17,13 +17,13 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 }
 
 /// Median distance of the successful estimates from where the prior expects the Gaussian (m); `None` without any.
-pub fn median_displacement(predicted: &[DVec3], estimates: &[Estimates]) -> Option<f64> {
+pub(crate) fn median_displacement(predicted: &[DVec3], estimates: &[Estimates]) -> Option<f64> {
     let mut all: Vec<f64> = displacements(predicted, estimates).map(|(_, d)| d).collect();
     median(&mut all)
 }
 
 /// [`median_displacement`] within each group.
-pub fn per_group(predicted: &[DVec3], estimates: &[Estimates], groups: &[u32]) -> BTreeMap<u32, f64> {
+pub(crate) fn per_group(predicted: &[DVec3], estimates: &[Estimates], groups: &[u32]) -> BTreeMap<u32, f64> {
     let mut all: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for (i, d) in displacements(predicted, estimates) {
         all.entry(groups[i]).or_default().push(d);

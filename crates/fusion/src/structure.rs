@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use std::num::NonZero;
 
 /// Priors of all Gaussians and what the residuals say of the trackers.
-pub struct Structured {
+pub(crate) struct Structured {
     /// (N) priors.
     pub priors: Vec<Prior>,
     /// (N) the prior of those that may depart from their group, with the probability that they do.
@@ -34,7 +34,7 @@ pub struct Structured {
 
 impl Structured {
     /// Factors on the trackers' covariances for a Gaussian.
-    pub fn scales(&self, prior: &Prior) -> &[f64] {
+    pub(crate) fn scales(&self, prior: &Prior) -> &[f64] {
         &self.scales[prior.scales]
     }
 }
@@ -44,7 +44,7 @@ impl Structured {
 ///
 /// # Errors
 /// [`FusionError::Index`] when the spatial index refuses the points.
-pub fn structured(
+pub(crate) fn structured(
     input: &FusionInput,
     evidence: &Evidence,
     config: &FusionConfig,

@@ -12,7 +12,7 @@ const COLUMNS: usize = 13;
 type Block = [[f64; LANES]; COLUMNS];
 
 /// A cell's own motion.
-pub struct Voter {
+pub(crate) struct Voter {
     /// Mean place at t-1 (m).
     pub centre: DVec3,
     /// Where its centre goes (m).
@@ -26,23 +26,23 @@ pub struct Voter {
 }
 
 impl Voter {
-    pub fn scale(&self) -> f64 {
+    pub(crate) fn scale(&self) -> f64 {
         self.scales.iter().sum::<f64>() / self.scales.len().max(1) as f64
     }
 
-    pub fn inflate(&mut self, factor: f64) {
+    pub(crate) fn inflate(&mut self, factor: f64) {
         self.information = self.information * factor.recip();
     }
 
     /// Squared Mahalanobis distance of a motion from the cell's own.
-    pub fn distance(&self, motion: &RigidMotion) -> f64 {
+    pub(crate) fn distance(&self, motion: &RigidMotion) -> f64 {
         let e = motion.apply(self.centre) - self.place;
         self.information.quadratic(e)
     }
 }
 
 /// Cells with their own motions; places are relative to an origin, which keeps coordinates of any size exact.
-pub struct Votes {
+pub(crate) struct Votes {
     origin: DVec3,
     /// The last one is filled up with cells without weight.
     blocks: Vec<Block>,
@@ -50,7 +50,7 @@ pub struct Votes {
 
 impl Votes {
     /// Of some cells.
-    pub fn new<'a>(voters: impl Iterator<Item = &'a Voter>) -> Self {
+    pub(crate) fn new<'a>(voters: impl Iterator<Item = &'a Voter>) -> Self {
         let mut out = Self { origin: DVec3::ZERO, blocks: Vec::new() };
         for (k, voter) in voters.enumerate() {
             if k == 0 {
@@ -69,7 +69,7 @@ impl Votes {
 
     /// Sum of the cells' weights, each less the more it disagrees: none of it is left at a squared Mahalanobis distance
     /// of `limit`.
-    pub fn explained(&self, motion: &RigidMotion, limit: f64) -> f64 {
+    pub(crate) fn explained(&self, motion: &RigidMotion, limit: f64) -> f64 {
         let rotation = DMat3::from_quat(motion.rotation).transpose();
         let rows = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|r| r.to_array());
         let centre = motion.centre - self.origin;

@@ -37,18 +37,18 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    pub fn new(limit: u64) -> Self {
+    pub(crate) fn new(limit: u64) -> Self {
         Self { limit, held: Arc::default() }
     }
 
     /// Sets `bytes` aside; they are free again when the share is dropped.
-    pub fn take(&self, bytes: u64) -> Result<Share, GpuError> {
+    pub(crate) fn take(&self, bytes: u64) -> Result<Share, GpuError> {
         let share = Share { bytes, held: self.held.clone() };
         let before = self.held.fetch_add(bytes, Ordering::Relaxed);
         if before.saturating_add(bytes) <= self.limit { Ok(share) } else { Err(GpuError::OutOfMemory) }
     }
 
-    pub fn held(&self) -> u64 {
+    pub(crate) fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
     }
 }
@@ -61,7 +61,7 @@ pub(crate) struct Share {
 }
 
 impl Share {
-    pub fn of(self, buffer: wgpu::Buffer) -> Buffer {
+    pub(crate) fn of(self, buffer: wgpu::Buffer) -> Buffer {
         Buffer(buffer, Arc::new(self))
     }
 }

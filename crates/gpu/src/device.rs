@@ -40,6 +40,9 @@ pub struct Gpu {
 
 impl Gpu {
     /// Opens adapter `index` of [`crate::adapters`], or the best one (hardware before software).
+    ///
+    /// # Errors
+    /// When there is no such adapter, none at all, or it lacks what every kernel needs.
     pub fn open(index: Option<usize>) -> Result<Self, GpuError> {
         let (adapter, report) = adapter::choose(adapter::all(&adapter::instance()), index)?;
         let wanted = (wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY) & adapter.features();
@@ -124,12 +127,18 @@ impl Gpu {
     }
 
     /// Zeroed memory of at least `bytes`; `what` names it in an error.
+    ///
+    /// # Errors
+    /// When one buffer may not be so large, or the memory is full.
     pub fn buffer(&self, what: &str, bytes: u64) -> Result<Buffer, GpuError> {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT;
         self.allocate(what, bytes, usage)
     }
 
     /// Memory with a copy of `values`.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
     pub fn upload<T: Pod>(&self, what: &str, values: &[T]) -> Result<Buffer, GpuError> {
         let buffer = self.buffer(what, size_of_val(values) as u64)?;
         self.write(&buffer, values);
@@ -137,6 +146,9 @@ impl Gpu {
     }
 
     /// A uniform binding with `value`.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
     pub fn uniform<T: Pod>(&self, what: &str, value: &T) -> Result<Buffer, GpuError> {
         let buffer = self.allocate(what, size_of::<T>() as u64, wgpu::BufferUsages::UNIFORM)?;
         self.write(&buffer, std::slice::from_ref(value));
@@ -190,6 +202,9 @@ impl Gpu {
     }
 
     /// The first `count` values of a buffer, after everything submitted so far. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed, now or before.
     pub fn download<T: Pod>(&self, buffer: &Buffer, count: usize) -> Result<Vec<T>, GpuError> {
         let bytes = (count * size_of::<T>()) as u64;
         if bytes == 0 {
@@ -216,6 +231,9 @@ impl Gpu {
     }
 
     /// Waits until everything submitted so far is done.
+    ///
+    /// # Errors
+    /// When the device failed, now or before.
     pub fn finish(&self) -> Result<(), GpuError> {
         self.wait(None)?;
         lock(&self.submissions).clear();

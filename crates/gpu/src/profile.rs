@@ -18,6 +18,9 @@ impl Gpu {
 
     /// Submits commands of [`Gpu::timed_commands`] and returns the time of every kernel in their order; of others
     /// none. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed, or there are more kernels than timestamps.
     pub fn submit_timed(&self, mut commands: Commands) -> Result<Vec<KernelTime>, GpuError> {
         let clock = commands.clock.take().filter(|clock| !clock.kernels.is_empty());
         let Some(Clock { queries, kernels }) = clock else {

@@ -44,7 +44,7 @@ pub const ABLATIONS: [Ablation; 26] = [
     ("unknown counts as disagreement", |c| c.agreement.ignore_unknown = false),
     ("no flow floor", |c| c.association.flow_floor_px = 0.0),
     ("the hidden is observed", |c| c.association.min_transmittance = 1e-4),
-    ("sixteen contributors a pixel", |c| c.association.contributors = 16),
+    ("sixteen contributors per pixel", |c| c.association.contributors = 16),
     ("what left the image counts", |c| c.association.withdraw_unseen = false),
     ("no depth weighting, no refinement", |c| {
         c.triangulation.depth_weighting = false;

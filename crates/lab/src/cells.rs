@@ -17,10 +17,10 @@ pub struct Cell {
 }
 
 /// Cells by estimate, then part.
-pub type Cells = BTreeMap<String, BTreeMap<String, Cell>>;
+pub(crate) type Cells = BTreeMap<String, BTreeMap<String, Cell>>;
 
 /// Compares estimates with the truth of one frame.
-pub struct Scorer<'a> {
+pub(crate) struct Scorer<'a> {
     /// True motion.
     pub truth: &'a Truth,
     /// t.
@@ -33,7 +33,7 @@ pub struct Scorer<'a> {
 
 impl Scorer<'_> {
     /// Errors of one tracker's estimates.
-    pub fn tracker(&self, estimates: &Estimates) -> BTreeMap<String, Cell> {
+    pub(crate) fn tracker(&self, estimates: &Estimates) -> BTreeMap<String, Cell> {
         self.cells(|i| {
             let ok = estimates.status[i] == EstimateStatus::Ok;
             let state = ok.then(|| (estimates.means[i], estimates.covariances[i]));
@@ -42,7 +42,7 @@ impl Scorer<'_> {
     }
 
     /// Errors of the moved layer.
-    pub fn fused(&self, dynamic: &Dynamic) -> BTreeMap<String, Cell> {
+    pub(crate) fn fused(&self, dynamic: &Dynamic) -> BTreeMap<String, Cell> {
         let means = dynamic.gaussians.positions();
         self.cells(|i| (Some((means[i], dynamic.covariances[i])), None))
     }
@@ -85,7 +85,7 @@ impl Scorer<'_> {
 }
 
 /// Adds the cells of a frame.
-pub fn merge(all: &mut Cells, frame: Cells) {
+pub(crate) fn merge(all: &mut Cells, frame: Cells) {
     for (name, parts) in frame {
         for (part, cell) in parts {
             let sum = all.entry(name.clone()).or_default().entry(part).or_default();

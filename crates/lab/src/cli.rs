@@ -22,7 +22,7 @@ enum Command {
     MotionEval(MotionEvalArgs),
     /// Score the fusion on simulated scenes
     Simulate(SimulateArgs),
-    /// Score the configuration, Algorithm 1 to the letter, and every single change
+    /// Score the configuration, our most literal reading of Algorithm 1, and every single change
     Ablations(AblationArgs),
 }
 

@@ -82,6 +82,9 @@ pub struct Memory {
 
 impl Evaluation {
     /// Opens the capture in `root`.
+    ///
+    /// # Errors
+    /// When the capture or the configuration cannot be read.
     pub fn open(root: &Path, args: &SourceArgs) -> Result<Self> {
         let config = configuration(args.config.as_deref())?;
         let capture = open_capture(root)?;
@@ -107,6 +110,9 @@ impl Evaluation {
     }
 
     /// The fused estimate of the bodies over all frames.
+    ///
+    /// # Errors
+    /// When the truth cannot be read.
     pub fn bodies(&self) -> Result<Cell> {
         let (mut all, mut memory) = (Cells::new(), Memory::default());
         for frame in self.frames.clone() {
@@ -132,6 +138,9 @@ impl Evaluation {
     }
 
     /// Moves the Gaussians into `frame`. `memory` is that of the frame before, then of this one.
+    ///
+    /// # Errors
+    /// When a file of the frame cannot be read, or the method fails.
     pub fn frame(
         &self,
         frame: usize,
@@ -224,6 +233,9 @@ fn carry(gaussians: &mut Gaussians, i: usize, motion: &DAffine3) {
 }
 
 /// The configuration in `file`, or the defaults.
+///
+/// # Errors
+/// When the file cannot be read or a value is out of its range.
 pub fn configuration(file: Option<&Path>) -> Result<Config> {
     file.map_or_else(|| Ok(Config::default()), Config::read)
 }

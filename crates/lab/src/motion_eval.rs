@@ -66,6 +66,9 @@ struct Entry {
 }
 
 /// Scores and prints.
+///
+/// # Errors
+/// When the capture, its truth or the run cannot be read, or the table cannot be written.
 pub fn run(args: &MotionEvalArgs) -> Result<()> {
     let eval = Evaluation::open(&args.capture, &args.source)?;
     let (mut all, mut frames, mut flow) = (Cells::new(), Vec::new(), FlowErrors::new());

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 /// `ffgs-lab simulate`.
 #[derive(Clone, Debug, Args)]
-pub struct SimulateArgs {
+pub(crate) struct SimulateArgs {
     /// Settings, as for `ffgs run`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -37,14 +37,14 @@ pub struct SimulateArgs {
 ///
 /// # Errors
 /// When the configuration cannot be read.
-pub fn run(args: &SimulateArgs) -> Result<()> {
+pub(crate) fn run(args: &SimulateArgs) -> Result<()> {
     let rows = rows(args, &configuration(args.config.as_deref())?)?;
     ffgs_pipeline::terminal::print(table(&rows).trim_end());
     Ok(())
 }
 
 /// Errors of the fusion as configured over all scenarios, rigs and seeds.
-pub fn all_samples(config: &Config) -> Result<Vec<Sample>> {
+pub(crate) fn all_samples(config: &Config) -> Result<Vec<Sample>> {
     let mut samples = Vec::new();
     for scenario in Scenario::ALL {
         for (rig, seed) in RIGS.into_iter().flat_map(|r| SEEDS.map(move |s| (r, s))) {
@@ -60,7 +60,7 @@ const RIGS: [Rig; 3] = [Rig::Trackside, Rig::Ring, Rig::Dome];
 /// Seeds of every combination.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 
-/// Rows of every scenario and rig: the fusion as configured, and Algorithm 1 to the letter.
+/// Rows of every scenario and rig: the fusion as configured, and our most literal reading of Algorithm 1.
 fn rows(args: &SimulateArgs, config: &Config) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     let recipe = Recipe { noise_px: args.noise, smooth: args.smooth, ..Recipe::default() };

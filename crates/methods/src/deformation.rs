@@ -49,7 +49,7 @@ pub(crate) struct Deformation {
 
 impl Deformation {
     /// `levels`: per level, the node of each Gaussian, all below `nodes`.
-    pub fn new(levels: Vec<Vec<u32>>, nodes: usize) -> Self {
+    pub(crate) fn new(levels: Vec<Vec<u32>>, nodes: usize) -> Self {
         let mut followers = vec![Vec::new(); nodes];
         for level in &levels {
             level.iter().enumerate().for_each(|(i, &node)| followers[node as usize].push(i as u32));
@@ -68,7 +68,7 @@ impl Deformation {
     }
 
     /// Positions and rotations of `out` become those of `base`, moved.
-    pub fn apply(&self, deltas: &[f32], base: &Gaussians, out: &mut Gaussians) {
+    pub(crate) fn apply(&self, deltas: &[f32], base: &Gaussians, out: &mut Gaussians) {
         let moved = out.means.par_iter_mut().zip(&mut out.quats).enumerate();
         moved.for_each(|(i, (mean, quat))| {
             let delta = self.delta(deltas, i);
@@ -78,7 +78,7 @@ impl Deformation {
     }
 
     /// Derivatives by the deltas, given those by the moved positions and rotations.
-    pub fn backward(&self, deltas: &[f32], base: &Gaussians, moved: &Gaussians) -> Vec<f32> {
+    pub(crate) fn backward(&self, deltas: &[f32], base: &Gaussians, moved: &Gaussians) -> Vec<f32> {
         let own = |i| self.backward_of(deltas, base, moved, i);
         let own: Vec<[f32; DELTA]> = (0..base.len()).into_par_iter().map(own).collect();
         let sum = |followers: &Vec<u32>| {
@@ -114,18 +114,18 @@ pub(crate) struct Deltas {
 
 impl Deltas {
     /// Values of whole nodes, never trained.
-    pub fn new(values: Vec<f32>) -> Self {
+    pub(crate) fn new(values: Vec<f32>) -> Self {
         let adam = AdamVec::new(values.len() / DELTA, DELTA);
         Self { values, adam }
     }
 
     /// Those of so many nodes that move nothing.
-    pub fn identity(nodes: usize) -> Self {
+    pub(crate) fn identity(nodes: usize) -> Self {
         Self::new(IDENTITY.repeat(nodes))
     }
 
     /// A delta each.
-    pub fn nodes(&self) -> &[[f32; DELTA]] {
+    pub(crate) fn nodes(&self) -> &[[f32; DELTA]] {
         self.values.as_chunks().0
     }
 }

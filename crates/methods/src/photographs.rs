@@ -21,7 +21,7 @@ pub(crate) struct Photographs<'a> {
 
 impl<'a> Photographs<'a> {
     /// Those of `step`; their order is fixed by seed and frame.
-    pub fn new(step: &Step<'a>, sky: &'a SkyCube) -> Self {
+    pub(crate) fn new(step: &Step<'a>, sky: &'a SkyCube) -> Self {
         Self {
             views: step.now,
             sky,
@@ -36,7 +36,7 @@ impl<'a> Photographs<'a> {
     ///
     /// # Errors
     /// When the loss is not finite: the training has diverged.
-    pub fn differentiate(&mut self, gaussians: &Gaussians, out: &mut Gradients) -> Result<f64> {
+    pub(crate) fn differentiate(&mut self, gaussians: &Gaussians, out: &mut Gradients) -> Result<f64> {
         let Some(view) = self.order.draw() else {
             out.reset(gaussians.len(), gaussians.sh_degree());
             out.fill_untouched();
@@ -58,7 +58,7 @@ pub(crate) struct Comparison {
 }
 
 impl Comparison {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             rasterizer: CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }),
             tape: RenderTape::default(),
@@ -71,7 +71,7 @@ impl Comparison {
     ///
     /// # Errors
     /// When the loss is not finite: the training has diverged.
-    pub fn differentiate(
+    pub(crate) fn differentiate(
         &mut self,
         gaussians: &Gaussians,
         camera: &Camera,

@@ -8,19 +8,19 @@ pub(crate) struct Writer(Vec<u8>);
 
 impl Writer {
     #[must_use]
-    pub fn count(mut self, count: usize) -> Self {
+    pub(crate) fn count(mut self, count: usize) -> Self {
         self.0.extend((count as u64).to_le_bytes());
         self
     }
 
     #[must_use]
-    pub fn column(self, values: &[f32]) -> Self {
+    pub(crate) fn column(self, values: &[f32]) -> Self {
         let mut out = self.count(values.len());
         out.0.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         out
     }
 
-    pub fn finish(self) -> Vec<u8> {
+    pub(crate) fn finish(self) -> Vec<u8> {
         self.0
     }
 }
@@ -29,20 +29,20 @@ impl Writer {
 pub(crate) struct Reader<'a>(pub &'a [u8]);
 
 impl Reader<'_> {
-    pub fn count(&mut self) -> Result<usize> {
+    pub(crate) fn count(&mut self) -> Result<usize> {
         let (word, rest) = self.0.split_first_chunk::<8>().context("the state ends early")?;
         self.0 = rest;
         usize::try_from(u64::from_le_bytes(*word)).context("a count is too large")
     }
 
-    pub fn column(&mut self) -> Result<Vec<f32>> {
+    pub(crate) fn column(&mut self) -> Result<Vec<f32>> {
         let bytes = self.count()?.saturating_mul(4);
         let (values, rest) = self.0.split_at_checked(bytes).context("the state ends early")?;
         self.0 = rest;
         Ok(values.as_chunks::<4>().0.iter().map(|value| f32::from_le_bytes(*value)).collect())
     }
 
-    pub fn end(self) -> Result<()> {
+    pub(crate) fn end(self) -> Result<()> {
         ensure!(self.0.is_empty(), "{} bytes behind the state", self.0.len());
         Ok(())
     }

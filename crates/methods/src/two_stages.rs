@@ -22,7 +22,7 @@ impl Stages<'_> {
     ///
     /// # Errors
     /// When the training diverges.
-    pub fn train<'d>(
+    pub(crate) fn train<'d>(
         &self,
         step: &Step,
         scene: &mut Scene,

@@ -54,18 +54,18 @@ fn camera(view: usize) -> Camera {
 
 impl World {
     /// The body stands still.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::moving(Vec3::ZERO)
     }
 
-    pub fn moving(step: Vec3) -> Self {
+    pub(crate) fn moving(step: Vec3) -> Self {
         let body = cloud(BODY, Vec3::ZERO, RADIUS, 0.05, 0.4);
         let backdrop = cloud(BACKDROP, Vec3::new(0.0, 0.0, -0.9), 1.2, 0.15, 2.7);
         Self { body, backdrop, sky: SkyCube::filled(4, [0.3, 0.5, 0.7]), step }
     }
 
     /// The body at a frame, then the backdrop.
-    pub fn gaussians_at(&self, frame: usize) -> Gaussians {
+    pub(crate) fn gaussians_at(&self, frame: usize) -> Gaussians {
         let mut all = self.body.clone();
         let far = frame as f32 * self.step;
         all.means.iter_mut().for_each(|mean| *mean = (Vec3::from(*mean) + far).to_array());
@@ -73,12 +73,12 @@ impl World {
         all
     }
 
-    pub fn gaussians(&self) -> Gaussians {
+    pub(crate) fn gaussians(&self) -> Gaussians {
         self.gaussians_at(0)
     }
 
     /// The true scene of frame 0.
-    pub fn scene(&self) -> Scene {
+    pub(crate) fn scene(&self) -> Scene {
         let mut dynamic = Dynamic { gaussians: self.body.clone(), ..Dynamic::default() };
         dynamic.number_new();
         dynamic.covariances.resize(BODY, glam::DMat3::IDENTITY);
@@ -107,7 +107,7 @@ impl World {
         (0..VIEWS).map(|view| self.view(view, frame)).collect()
     }
 
-    pub fn with_step<T>(&self, frame: usize, work: impl FnOnce(&Step) -> T) -> T {
+    pub(crate) fn with_step<T>(&self, frame: usize, work: impl FnOnce(&Step) -> T) -> T {
         // Methods that look at photographs alone ask nothing of the capture.
         let capture = conformance::World::new(1, DVec3::ZERO);
         let (before, now) = (self.views(frame - 1), self.views(frame));
@@ -117,7 +117,7 @@ impl World {
     }
 
     /// How far the Gaussians of the body are from where they are at `frame` (m): root mean square, and of their mean.
-    pub fn errors(&self, scene: &Scene, frame: usize) -> [f32; 2] {
+    pub(crate) fn errors(&self, scene: &Scene, frame: usize) -> [f32; 2] {
         let truth = self.body_at(frame).means;
         let found = scene.dynamic.ids.iter().zip(&scene.dynamic.gaussians.means);
         let body = found.filter(|(id, _)| (**id as usize) < BODY);

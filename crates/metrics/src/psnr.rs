@@ -8,6 +8,9 @@ use rayon::prelude::*;
 pub const MAX_PSNR: f64 = 100.0;
 
 /// Peak signal-to-noise ratio (dB, at most [`MAX_PSNR`]) of a render, clamped to [0, 1], against an 8-bit target.
+///
+/// # Errors
+/// When the images differ in size.
 pub fn psnr(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
     same_size(rendered.size(), target.size())?;
     let pixels = rendered.size().pixels();
@@ -16,6 +19,9 @@ pub fn psnr(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMisma
 
 /// [`psnr`] over the pixels of `mask`: squared error over masked pixels / (3 * masked count).
 /// `None` for an empty mask, or one in which the error is not a number.
+///
+/// # Errors
+/// When images and mask differ in size.
 pub fn mpsnr(rendered: &PlanarImage, target: &ImageRgb8, mask: &Mask) -> Result<Option<f64>, SizeMismatch> {
     same_size(rendered.size(), target.size())?;
     same_size(rendered.size(), mask.size())?;

@@ -67,6 +67,9 @@ pub struct SsimPair<'a> {
 
 impl<'a> SsimPair<'a> {
     /// `shape` is [C, H, W]; both slices hold C * H * W values.
+    ///
+    /// # Errors
+    /// When an image is empty or does not hold as many values as its shape says.
     pub fn new(shape: [usize; 3], rendered: &'a [f32], target: &'a [f32]) -> Result<Self, SsimError> {
         let [channels, height, width] = shape;
         let found = [rendered.len(), target.len()];
@@ -106,6 +109,9 @@ pub struct LossAndGradient {
 }
 
 /// Mean SSIM over all channels and map pixels.
+///
+/// # Errors
+/// When the window does not fit into the images.
 pub fn ssim(images: SsimPair<'_>, border: Border) -> Result<f64, SsimError> {
     let count = images.map_size(border)?;
     let sums: Vec<f64> =
@@ -114,6 +120,9 @@ pub fn ssim(images: SsimPair<'_>, border: Border) -> Result<f64, SsimError> {
 }
 
 /// Mean SSIM with its map and its gradient with respect to the rendered image.
+///
+/// # Errors
+/// When the window does not fit into the images.
 pub fn ssim_and_gradient(images: SsimPair<'_>, border: Border) -> Result<LossAndGradient, SsimError> {
     let count = images.map_size(border)? as f64;
     let parts: Vec<(Vec<f64>, Vec<f64>)> =
@@ -126,6 +135,9 @@ pub fn ssim_and_gradient(images: SsimPair<'_>, border: Border) -> Result<LossAnd
 
 /// The 3DGS loss 0.8 L1 + 0.2 (1 - SSIM), both means over all values, SSIM with [`Border::Same`].
 /// The gradient of |0| is 0.
+///
+/// # Errors
+/// When the window does not fit into the images.
 pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
     let LossAndGradient { value, gradient, map } = ssim_and_gradient(images, Border::Same)?;
     let count = gradient.len() as f64;
@@ -138,6 +150,9 @@ pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
 }
 
 /// Mean SSIM ([`Border::Same`]) of a render, clamped to [0, 1] (NaN counts as 0), against an 8-bit target.
+///
+/// # Errors
+/// When the images differ in size.
 pub fn image_ssim(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
     same_size(rendered.size(), target.size())?;
     let size = rendered.size();

@@ -45,6 +45,9 @@ pub struct ViewFields<'a> {
 
 impl<'a> ViewFields<'a> {
     /// Fields that know no motion anywhere.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn new(gpu: &'a Gpu, mask: &Mask, trackers: usize) -> Result<Self, GpuError> {
         let inside = mask.data().iter().enumerate().filter(|(_, m)| **m != 0);
         let numbers: Vec<u32> = inside.map(|(p, _)| p as u32).collect();
@@ -161,6 +164,9 @@ impl<'a> ViewFields<'a> {
 
     /// (1 + 4 trackers, H, W) f32: the mask, and of every tracker whether it knows a motion, flow x, flow y (px) where it
     /// does, and confidence times flow of at least `flow_floor` px.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn planes(&self, flow_floor: f32) -> Result<Buffer, GpuError> {
         let job = self.uniform(FieldsUniform { flow_floor, ..FieldsUniform::default() })?;
         let bytes = self.plane_count() * self.size.pixels() * 4;
@@ -173,6 +179,9 @@ impl<'a> ViewFields<'a> {
     }
 
     /// The field of tracker `l`, unknown outside the mask. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn download(&self, l: usize) -> Result<DenseMotion, GpuError> {
         let all: Vec<[f32; 4]> = self.gpu.download(&self.fields, self.trackers * self.numbers.len())?;
         let mut out = DenseMotion::unknown(self.size);

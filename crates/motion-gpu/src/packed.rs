@@ -27,7 +27,7 @@ pub(crate) struct Packed {
 
 impl Packed {
     /// Of the pixels with these numbers; where the flow is no number, nothing is known.
-    pub fn new(field: &DenseMotion, numbers: &[u32]) -> Self {
+    pub(crate) fn new(field: &DenseMotion, numbers: &[u32]) -> Self {
         let known = |p: usize| field.confidence[p] > 0.0 && field.flow[p].iter().all(|v| v.is_finite());
         let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
         for flow in numbers.iter().map(|&p| p as usize).filter(|&p| known(p)).map(|p| field.flow[p]) {

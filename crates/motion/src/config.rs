@@ -28,7 +28,7 @@ pub struct MotionConfig {
 }
 
 impl MotionConfig {
-    /// The paper's motion initialisation to the letter (Algorithms 1 and 2).
+    /// Our most literal reading of the paper's motion initialisation (Algorithms 1 and 2).
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {

@@ -49,7 +49,7 @@ impl<'a> Lens<'a> {
 }
 
 /// Lines 25 to 34: the posterior of the layer. `refine` may improve the motions of the rigid groups.
-pub fn fuse(
+pub(crate) fn fuse(
     input: &MotionInput,
     observations: &[Observations],
     estimates: &[Estimates],
@@ -83,7 +83,7 @@ pub fn fuse(
 }
 
 /// Moves the layer to its posterior.
-pub fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, log: &mut StageLog) {
+pub(crate) fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, log: &mut StageLog) {
     let start = Instant::now();
     let g = &mut dynamic.gaussians;
     g.means.iter_mut().zip(&fused.means).for_each(|(place, mean)| *place = mean.as_vec3().to_array());

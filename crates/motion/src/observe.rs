@@ -14,6 +14,9 @@ const FIELD_BYTES: usize = 1 << 30;
 
 /// Lines 3 to 19: motion fields, agreement, association. Views are worked on in parallel, so many at once as
 /// `FIELD_BYTES` hold, so that memory does not grow with their number. `inspect` sees each view's index and fields.
+///
+/// # Errors
+/// When a file cannot be read or holds no motion, or the device fails.
 pub fn observe(
     input: &MotionInput,
     gaussians: &Gaussians,

@@ -55,6 +55,9 @@ impl TrackerMotion<'_> {
 }
 
 /// Lines 20 to 34: from what the trackers saw to the places at t. Returns every tracker's estimates.
+///
+/// # Errors
+/// When a file cannot be read or holds no motion, or the device fails.
 pub fn move_by(
     input: &MotionInput,
     observations: &mut [Observations],

@@ -7,7 +7,7 @@ use ffgs_triangulation::{Triangulator, WeightedRays};
 use std::time::Instant;
 
 /// Lines 20 to 24: every tracker's estimates.
-pub fn triangulate(
+pub(crate) fn triangulate(
     input: &MotionInput,
     observations: &[Observations],
     log: &mut StageLog,

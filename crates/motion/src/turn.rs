@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::sync::LazyLock;
 
 /// Turns every Gaussian by its rotation, as far as `rotate` says.
-pub fn turn(gaussians: &mut Gaussians, rotations: &[DQuat], rotate: Rotate) {
+pub(crate) fn turn(gaussians: &mut Gaussians, rotations: &[DQuat], rotate: Rotate) {
     if rotate == Rotate::Nothing {
         return;
     }

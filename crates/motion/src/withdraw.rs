@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// Takes back the observations of Gaussians in views that cannot show them at t, judged by where they are expected
 /// then (`expected`, N, m; `cameras`, V, at t); returns how many. A car that leaves the image on one side otherwise seems
 /// to slow down.
-pub fn withdraw(cameras: &[Camera], expected: &[DVec3], observations: &mut [Observations]) -> usize {
+pub(crate) fn withdraw(cameras: &[Camera], expected: &[DVec3], observations: &mut [Observations]) -> usize {
     let shown = |camera: &Camera, place: DVec3| camera.project(place).is_some_and(|p| camera.shows(p.pixel));
     let mut withdrawn = 0;
     for o in observations {

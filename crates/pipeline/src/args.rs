@@ -69,7 +69,7 @@ pub struct StageArgs {
     /// The stage; `ffgs stage --help` lists the arrays of each
     #[arg(value_enum, value_name = "NAME")]
     pub name: Stage,
-    /// What the paper says to the letter (associate, fuse), and SSIM in f64, instead of what a run does
+    /// Our most literal reading of the paper (associate, fuse), and SSIM in f64, instead of what a run does
     #[arg(long)]
     pub literal: bool,
     /// The stage's arrays (.npz)
@@ -110,10 +110,10 @@ pub struct RunArgs {
     /// How the scene moves from frame to frame
     #[arg(long, alias = "init", value_name = "METHOD", value_parser = MethodParser)]
     pub method: Option<MethodChoice>,
-    /// Iterations of the dynamic layer a frame
+    /// Iterations of the dynamic layer per frame
     #[arg(long, value_name = "N")]
     pub iterations: Option<usize>,
-    /// Take this many steps of Adam a frame for the static layer's colours, instead of one linear solve (0 = leave them)
+    /// Take this many steps of Adam per frame for the static layer's colours, instead of one linear solve (0 = leave them)
     #[arg(long, value_name = "N")]
     pub static_iterations: Option<usize>,
     /// Iterations of the first frame

@@ -72,6 +72,9 @@ impl Default for Config {
 
 impl Config {
     /// Reads a TOML file; keys that it leaves out keep their defaults, unknown keys are errors.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no TOML, or has an unknown key or a value out of its range.
     pub fn read(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         let named =
@@ -82,13 +85,16 @@ impl Config {
     }
 
     /// Refuses settings outside their ranges, all of them in one message.
+    ///
+    /// # Errors
+    /// When a value is out of its range; the error names its key.
     pub fn validate(&self) -> Result<()> {
         let faults = config_ranges::faults(self);
         ensure!(faults.is_empty(), "{}", faults.join("; "));
         Ok(())
     }
 
-    /// The defaults with the paper's motion initialisation to the letter (Algorithms 1 and 2).
+    /// The defaults with our most literal reading of the paper's motion initialisation (Algorithms 1 and 2).
     pub fn literal() -> Self {
         Self::default().with_motion(MotionConfig::literal())
     }
@@ -124,6 +130,9 @@ impl Config {
     }
 
     /// As TOML.
+    ///
+    /// # Errors
+    /// When a value has no form in TOML.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self).context("the configuration cannot be written as TOML")
     }

@@ -124,7 +124,7 @@ const RANGES: &[(&str, Range)] = &[
 ];
 
 /// The settings outside their ranges, each with its key, value and range; none for a configuration that can be run.
-pub fn faults(settings: &impl Serialize) -> Vec<String> {
+pub(crate) fn faults(settings: &impl Serialize) -> Vec<String> {
     // Only maps of texts, numbers and lists: nothing that JSON cannot hold but NaN and infinity, which become null.
     let values = serde_json::to_value(settings).unwrap_or_default();
     let mut faults = Vec::new();

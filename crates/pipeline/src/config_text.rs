@@ -30,12 +30,12 @@ enum Preset {
     /// What every option defaults to
     #[default]
     Default,
-    /// The defaults with the paper's motion initialisation to the letter
+    /// The defaults with our most literal reading of the paper's motion initialisation
     Literal,
 }
 
 /// Prints a configuration.
-pub fn print(args: &ConfigArgs) -> Result<()> {
+pub(crate) fn print(args: &ConfigArgs) -> Result<()> {
     let config = match args.preset {
         Preset::Default => Config::default(),
         Preset::Literal => Config::literal(),

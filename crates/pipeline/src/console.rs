@@ -10,14 +10,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The bars of a run: one for the frames, one per lane while it works. Where the error stream is no terminal, lines.
-pub struct Console {
+pub(crate) struct Console {
     bars: MultiProgress,
     frames: ProgressBar,
     lines: Option<Arc<Lines>>,
 }
 
 /// One lane's bar; it disappears with the lane.
-pub struct Lane {
+pub(crate) struct Lane {
     name: &'static str,
     bar: ProgressBar,
     lines: Option<Arc<Lines>>,
@@ -46,7 +46,7 @@ fn style(template: &str) -> ProgressStyle {
 
 impl Console {
     /// Bars on the error stream, lines when it is no terminal, nothing when `quiet`.
-    pub fn new(quiet: bool, frames: Range<usize>) -> Self {
+    pub(crate) fn new(quiet: bool, frames: Range<usize>) -> Self {
         let as_lines = !quiet && !std::io::stderr().is_terminal();
         let lines = as_lines.then(|| Arc::new(Lines(Mutex::new(Instant::now()))));
         let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
@@ -57,13 +57,13 @@ impl Console {
     }
 
     /// A frame begins.
-    pub fn begin_frame(&mut self, frame: usize) {
+    pub(crate) fn begin_frame(&mut self, frame: usize) {
         self.frames.set_message(format!("frame {frame}"));
         self.frames.tick();
     }
 
     /// A bar for one lane.
-    pub fn lane(&self, name: &'static str, iterations: usize) -> Lane {
+    pub(crate) fn lane(&self, name: &'static str, iterations: usize) -> Lane {
         let bar = self.bars.add(ProgressBar::new(iterations as u64));
         bar.set_style(style("  {prefix:12} {bar:24} {pos}/{len}  {msg}  {eta} left"));
         bar.set_prefix(name);
@@ -71,7 +71,7 @@ impl Console {
     }
 
     /// A frame is written.
-    pub fn end_frame(&mut self, record: &FrameRecord) {
+    pub(crate) fn end_frame(&mut self, record: &FrameRecord) {
         self.estimate_time();
         let quality = |name: &str, of: fn(&ViewMetrics) -> Option<f64>| {
             let value = mean(record.views.iter().filter_map(of));
@@ -111,7 +111,7 @@ impl Console {
     }
 
     /// The run is done.
-    pub fn finish(&self, metrics: &Metrics) {
+    pub(crate) fn finish(&self, metrics: &Metrics) {
         self.frames.finish_and_clear();
         let m = &metrics.mean;
         if m.psnr.is_none() {
@@ -130,7 +130,7 @@ impl Console {
 
 impl Lane {
     /// Shows a step; the terminal is touched every 10 steps only, oftener in short lanes.
-    pub fn show(&self, p: Progress) {
+    pub(crate) fn show(&self, p: Progress) {
         let what = || format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians);
         if let Some(lines) = &self.lines {
             lines.show(|| format!("{} {}/{}  {}", self.name, p.iteration, p.iterations, what()));

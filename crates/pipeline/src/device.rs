@@ -35,6 +35,9 @@ impl FromStr for Device {
 
 impl Device {
     /// Opens the GPUs; none = compute on the CPU. A GPU that was asked for and cannot be opened is an error.
+    ///
+    /// # Errors
+    /// When an adapter that was asked for does not exist or cannot be used.
     pub fn open(&self) -> Result<Vec<SceneDevice>> {
         let gpus: Vec<Gpu> = match self {
             Self::Cpu => Vec::new(),

@@ -54,7 +54,7 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     Ok(())
 }
 
-/// One row a frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
+/// One row per frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
 fn table(records: &[FrameRecord]) -> String {
     let titles = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker"].map(|title| format!("  {title:>8}")).concat();
     let mut text = format!("{:>10}{titles}\n", "frame");

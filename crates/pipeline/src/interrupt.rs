@@ -3,7 +3,7 @@
 /// Signals that end a run; each that the caller has not told this process to ignore gets a sentence, then its usual effect,
 /// so that the caller sees what ended the program.
 #[cfg(unix)]
-pub fn explain_signals() {
+pub(crate) fn explain_signals() {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let ignored = ignored_signals();
     let heard = [SIGHUP, SIGINT, SIGTERM].into_iter().filter(|&signal| (ignored >> (signal - 1)) & 1 == 0);

@@ -26,7 +26,7 @@ impl<'a> Lanes<'a> {
 
     /// Runs the three lanes of a frame at the same time. With one device the static lane and the sky take turns: they
     /// would only hold more memory.
-    pub fn together<D: Send, S: Send, K: Send>(
+    pub(crate) fn together<D: Send, S: Send, K: Send>(
         self,
         dynamic: impl FnOnce() -> D + Send,
         static_lane: impl FnOnce() -> S + Send,
@@ -45,7 +45,7 @@ impl<'a> Lanes<'a> {
     }
 
     /// Frame 0.
-    pub fn first_frame(
+    pub(crate) fn first_frame(
         self,
         config: &FirstFrameConfig,
         views: &[TrainingView],
@@ -61,7 +61,7 @@ impl<'a> Lanes<'a> {
     }
 
     /// The moving Gaussians.
-    pub fn dynamic(
+    pub(crate) fn dynamic(
         self,
         config: &DynamicLaneConfig,
         views: &[TrainingView],
@@ -78,7 +78,7 @@ impl<'a> Lanes<'a> {
     }
 
     /// The static layer's colours.
-    pub fn static_layer(
+    pub(crate) fn static_layer(
         self,
         lane: &mut StaticLane,
         config: &BackgroundConfig,
@@ -95,7 +95,7 @@ impl<'a> Lanes<'a> {
     }
 
     /// The sky.
-    pub fn sky(
+    pub(crate) fn sky(
         self,
         config: &BackgroundConfig,
         views: &[TrainingView],
@@ -111,7 +111,7 @@ impl<'a> Lanes<'a> {
     }
 
     /// Depth-sorted renders of both layers over the sky; on a GPU several views in a submission.
-    pub fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
+    pub(crate) fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
         let options = RenderOptions { antialiased: true, sh_degree: None };
         let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };

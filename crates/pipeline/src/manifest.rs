@@ -54,6 +54,9 @@ pub struct Manifest {
 
 impl Manifest {
     /// Describes a request.
+    ///
+    /// # Errors
+    /// When the capture or one of its files cannot be read.
     pub fn new(
         request: &RunRequest,
         method: &MethodChoice,
@@ -89,6 +92,9 @@ impl Manifest {
     }
 
     /// Takes the output folder for this run: an empty one, or on resume one that the same run began.
+    ///
+    /// # Errors
+    /// When the folder holds another run, or cannot be written.
     pub fn claim(&self, folder: &RunFolder, resume: bool) -> Result<()> {
         let (file, out) = (folder.manifest(), folder.0.display());
         if file.exists() {
@@ -139,6 +145,9 @@ impl Manifest {
     }
 
     /// Refuses a first frame of another capture and says what else it was made with.
+    ///
+    /// # Errors
+    /// When that run is of another capture or of settings that the first frame depends on.
     pub fn check_first_frame(&self, run: &RunFolder) -> Result<()> {
         let other: Self = read_json(&run.manifest()).context("--first-frame: not a run")?;
         let known = !other.capture_digest.is_empty();

@@ -1,5 +1,5 @@
 /// Most memory that this process has held so far (MiB): `VmHWM` of Linux; `None` on other systems.
-pub fn peak_mib() -> Option<f64> {
+pub(crate) fn peak_mib() -> Option<f64> {
     peak_kib(&std::fs::read_to_string("/proc/self/status").ok()?).map(|kib| kib / 1024.0)
 }
 

@@ -7,7 +7,7 @@ use ffgs_methods::{Dynamic3dgs, Hicom, Recongs};
 use ffgs_motion::{Standstill, TrackerMotion};
 
 /// The paper's method with all trackers.
-pub const TRACKERS: Method = Method {
+pub(crate) const TRACKERS: Method = Method {
     usage: "trackers",
     former: Some("fused"),
     summary: "moved by all trackers, fused (the paper's method)",
@@ -15,7 +15,7 @@ pub const TRACKERS: Method = Method {
 };
 
 /// The same with one tracker.
-pub const TRACKER: Method = Method {
+pub(crate) const TRACKER: Method = Method {
     usage: "tracker:NAME",
     former: None,
     summary: "moved by one tracker of the capture",
@@ -23,7 +23,7 @@ pub const TRACKER: Method = Method {
 };
 
 /// No motion initialisation.
-pub const NONE: Method = Method {
+pub(crate) const NONE: Method = Method {
     usage: "none",
     former: None,
     summary: "where the last frame ended: training alone follows what moves",
@@ -31,7 +31,7 @@ pub const NONE: Method = Method {
 };
 
 /// HiCoM.
-pub const HICOM: Method = Method {
+pub(crate) const HICOM: Method = Method {
     usage: "hicom",
     former: None,
     summary: "grids of cubes that move all Gaussians, then Gaussians added (HiCoM, 2024)",
@@ -39,7 +39,7 @@ pub const HICOM: Method = Method {
 };
 
 /// Dynamic 3D Gaussians.
-pub const DYNAMIC3DGS: Method = Method {
+pub(crate) const DYNAMIC3DGS: Method = Method {
     usage: "dynamic3dgs",
     former: None,
     summary: "the last velocities, then training with rigid neighbours (Dynamic 3D Gaussians, 2024)",
@@ -47,7 +47,7 @@ pub const DYNAMIC3DGS: Method = Method {
 };
 
 /// ReCon-GS.
-pub const RECONGS: Method = Method {
+pub(crate) const RECONGS: Method = Method {
     usage: "recongs",
     former: None,
     summary: "anchors that move all Gaussians, then Gaussians added (ReCon-GS, 2025)",

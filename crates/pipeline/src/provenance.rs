@@ -10,13 +10,13 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 /// Version and commit.
-pub const VERSION: &str = env!("FFGS_VERSION");
+pub(crate) const VERSION: &str = env!("FFGS_VERSION");
 
 /// Bytes read at a time.
 const BLOCK: usize = 1 << 16;
 
 /// Digest of what belongs to no single frame: cameras, points, the list of trackers.
-pub fn capture_digest(capture: &dyn Capture) -> Result<String> {
+pub(crate) fn capture_digest(capture: &dyn Capture) -> Result<String> {
     let mut hasher = Hasher::new();
     for split in Split::ALL {
         for (view, name) in capture.views(split).iter().enumerate() {
@@ -41,7 +41,7 @@ pub fn capture_digest(capture: &dyn Capture) -> Result<String> {
 
 /// Digest of what a frame is made from and measured on: images, masks, and the motion into it. `views` are the training
 /// views used.
-pub fn frame_digest(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<String> {
+pub(crate) fn frame_digest(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<String> {
     let at = |split: Split, view: usize| ViewAt { split, view, frame };
     let mut shots: Vec<ViewAt> = views.iter().map(|&view| at(Split::Train, view)).collect();
     shots.extend((0..capture.views(Split::Test).len()).map(|view| at(Split::Test, view)));

@@ -94,7 +94,7 @@ pub struct Mean {
     /// PSNR over the foreground before finetuning, always over all test views (dB).
     #[serde(default)]
     pub initial_mpsnr: Option<f64>,
-    /// Wall clock a frame (s).
+    /// Wall clock per frame (s).
     pub seconds_per_frame: Option<f64>,
     /// PSNR / seconds per frame (dB/s), the paper's PE.
     #[serde(default)]

@@ -44,6 +44,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Runs the job and returns the path of the report.
+///
+/// # Errors
+/// When the capture, a setting or the output folder cannot be used, a frame fails, or the device does. Finished frames stay.
 pub fn run(request: &RunRequest) -> Result<PathBuf> {
     run_frames(&Job::open(request)?)
 }

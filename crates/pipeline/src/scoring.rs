@@ -16,6 +16,9 @@ pub(crate) fn render(scene: &Scene, cameras: &[Camera], lanes: Lanes) -> Result<
 }
 
 /// Writes a PNG through a temporary file.
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn write_png(path: &Path, picture: &ImageRgb8) -> Result<()> {
     let size = picture.size();
     write_atomically(path, |out| {

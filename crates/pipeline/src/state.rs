@@ -16,6 +16,9 @@ const DOUBTED: &str = "masks_doubted";
 const ENTITLED: &str = "dynamic_entitled";
 
 /// Writes the state atomically.
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
     let state = FrameState {
         frame: frame as u64,

@@ -24,7 +24,7 @@ impl Vmaf {
     ///
     /// # Errors
     /// When there is none, or it has no libvmaf: what to do.
-    pub fn find() -> Result<Self> {
+    pub(crate) fn find() -> Result<Self> {
         Self::of(std::env::var_os(VARIABLE).unwrap_or_else(|| "ffmpeg".into()))
     }
 
@@ -45,7 +45,7 @@ impl Vmaf {
     }
 
     /// Begins a video of frames of this size; the scores pass through a file in `folder`.
-    pub fn video(&self, size: ImageSize, folder: &Path) -> Result<Video> {
+    pub(crate) fn video(&self, size: ImageSize, folder: &Path) -> Result<Video> {
         // As a half-written file is called: what a kill leaves is removed by the next run.
         let log = format!("vmaf.{}.part", std::process::id());
         let mut command = Command::new(&self.0);
@@ -60,7 +60,7 @@ impl Vmaf {
     }
 }
 
-/// Whether the list of filters has libvmaf: flags, name, kinds of its ends and a sentence a line.
+/// Whether the list of filters has libvmaf: flags, name, kinds of its ends and a sentence per line.
 fn has_filter(list: &str) -> bool {
     list.lines().any(|line| line.split_whitespace().nth(1) == Some("libvmaf"))
 }
@@ -87,7 +87,7 @@ pub(crate) struct Video {
 
 impl Video {
     /// The next frame, in time order.
-    pub fn push(&mut self, photograph: &ImageRgb8, render: &ImageRgb8) -> Result<()> {
+    pub(crate) fn push(&mut self, photograph: &ImageRgb8, render: &ImageRgb8) -> Result<()> {
         for image in [photograph, render] {
             ensure!(image.size() == self.size, "the size of the camera's images changes");
             let Some(frames) = &mut self.frames else { continue };
@@ -101,7 +101,7 @@ impl Video {
     }
 
     /// The score of each frame, 0 to 100.
-    pub fn finish(mut self) -> Result<Vec<f64>> {
+    pub(crate) fn finish(mut self) -> Result<Vec<f64>> {
         drop(self.frames.take());
         let output = self.child.wait_with_output().context("cannot wait for ffmpeg")?;
         let log = std::fs::read(&self.log);

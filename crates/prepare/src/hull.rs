@@ -87,7 +87,7 @@ fn bounds(hull: &Hull) -> Option<Region> {
 
 impl Hull {
     /// The silhouette, in a camera, of the voxels that at least `least_views` see.
-    pub fn seen_by(&self, camera: &Camera, least_views: u16) -> Mask {
+    pub(crate) fn seen_by(&self, camera: &Camera, least_views: u16) -> Mask {
         let size = camera.size();
         let mut data = vec![0_u8; size.pixels()];
         for (centre, _) in self.centres.iter().zip(&self.views).filter(|(_, v)| **v >= least_views) {

@@ -30,7 +30,7 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// The journal of the output folder, or a new one. A folder with something else in it is refused.
-    pub fn open(request: &Request) -> Result<Self, PrepareError> {
+    pub(crate) fn open(request: &Request) -> Result<Self, PrepareError> {
         let file = path(&request.out);
         if !file.is_file() {
             let occupied =
@@ -65,23 +65,23 @@ impl Journal {
     }
 
     /// Writes the journal.
-    pub fn save(&self, out: &Path) -> Result<(), PrepareError> {
+    pub(crate) fn save(&self, out: &Path) -> Result<(), PrepareError> {
         write_json(&path(out), &json!(self))
     }
 
     /// Notes a finished step.
-    pub fn finish(&mut self, step: Step, text: String, out: &Path) -> Result<(), PrepareError> {
+    pub(crate) fn finish(&mut self, step: Step, text: String, out: &Path) -> Result<(), PrepareError> {
         self.steps.insert(step, text);
         self.save(out)
     }
 
     /// Notes each sentence once.
-    pub fn assume(&mut self, sentences: &[String]) {
+    pub(crate) fn assume(&mut self, sentences: &[String]) {
         add(&mut self.assumed, sentences);
     }
 
     /// Notes each sentence once.
-    pub fn skip(&mut self, sentences: &[String]) {
+    pub(crate) fn skip(&mut self, sentences: &[String]) {
         add(&mut self.skipped, sentences);
     }
 }

@@ -70,12 +70,12 @@ pub(crate) struct Frames {
 
 impl Frames {
     /// Starts ffmpeg on a video; frames come as they are stored, none doubled or dropped for a constant rate.
-    pub fn open(file: &Path) -> Result<Self, PrepareError> {
+    pub(crate) fn open(file: &Path) -> Result<Self, PrepareError> {
         Self::start(file, None)
     }
 
     /// As [`Frames::open`] with the first frame at or after a time in seconds.
-    pub fn open_at(file: &Path, seconds: f64) -> Result<Self, PrepareError> {
+    pub(crate) fn open_at(file: &Path, seconds: f64) -> Result<Self, PrepareError> {
         Self::start(file, Some(seconds))
     }
 
@@ -98,7 +98,7 @@ impl Frames {
     }
 
     /// The next frame; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<ImageRgb8>, PrepareError> {
+    pub(crate) fn next(&mut self) -> Result<Option<ImageRgb8>, PrepareError> {
         let io = |e| PrepareError::io(&self.file, e);
         if self.stream.fill_buf().map_err(io)?.is_empty() {
             return Ok(None);

@@ -9,7 +9,7 @@ use ffgs_rasterizer::{TopContributors, View};
 
 /// Channels that one pass over the pixels sums.
 pub(crate) const CHANNELS: usize = ENTRY - 1;
-/// Contributors a pixel that are kept at most.
+/// Contributors kept per pixel at most.
 pub(crate) const MOST_CONTRIBUTORS: usize = 16;
 
 /// Sums per Gaussian of `alpha T` times per-pixel channels; see [`ffgs_rasterizer::FootprintSums`].
@@ -46,6 +46,9 @@ pub struct Planes<'a> {
 impl GpuRasterizer<'_> {
     /// Renders `gaussians` and sums `alpha T * channel` per Gaussian over the pixels, for each row-major channel; at
     /// least one channel of the view's size.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn accumulate(
         &mut self,
         gaussians: &Gaussians,
@@ -63,6 +66,9 @@ impl GpuRasterizer<'_> {
     }
 
     /// The same for a scene and planes that are on the device; sums of the first `rows` Gaussians only.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn accumulate_planes(
         &mut self,
         scene: &GpuScene,
@@ -110,6 +116,9 @@ impl GpuRasterizer<'_> {
     }
 
     /// Renders `gaussians` and lists the `count` (at most 16) largest contributions of each pixel.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn top_contributors(
         &mut self,
         gaussians: &Gaussians,

@@ -96,12 +96,12 @@ pub(crate) const SPLAT_BYTES: u64 = 48;
 
 /// Entries of the plan buffer, `shaders/common/plan.wgsl`.
 pub(crate) mod plan {
-    pub const COUNT: u32 = 0;
-    pub const PAIRS: u32 = 1;
-    pub const NEEDED_PAIRS: usize = 2;
-    pub const NEEDED_SPANS: usize = 3;
-    pub const SORT: u32 = 4;
-    pub const SCAN: u32 = 7;
-    pub const EACH: u32 = 10;
-    pub const LENGTH: usize = 13;
+    pub(crate) const COUNT: u32 = 0;
+    pub(crate) const PAIRS: u32 = 1;
+    pub(crate) const NEEDED_PAIRS: usize = 2;
+    pub(crate) const NEEDED_SPANS: usize = 3;
+    pub(crate) const SORT: u32 = 4;
+    pub(crate) const SCAN: u32 = 7;
+    pub(crate) const EACH: u32 = 10;
+    pub(crate) const LENGTH: usize = 13;
 }

@@ -41,7 +41,7 @@ pub use encode::{backward, count_views, deal, prepare, render, render_split, til
 pub use footprint::{Footprints, Planes};
 pub use kernels::{LEDGER, VIEW};
 pub use layout::{Geometry, Ledger};
-pub use rasterize::{GpuRasterizer, Rendered, VIEWS_A_SUBMISSION};
+pub use rasterize::{GpuRasterizer, Rendered, VIEWS_PER_SUBMISSION};
 pub use scene::{GpuGradients, GpuScene};
 pub use scratch::{Capacity, Scratch};
 pub use view::GpuView;

@@ -9,7 +9,7 @@ use ffgs_rasterizer::{Gradients, PixelGradients, RenderOptions, View};
 use glam::{DMat3, DVec3};
 
 /// Views in one submission: enough to keep a device busy, few enough that no driver takes it for stuck.
-pub const VIEWS_A_SUBMISSION: usize = 8;
+pub const VIEWS_PER_SUBMISSION: usize = 8;
 
 /// Renders on the device and brings the results to the host: for single stages, pictures and tests. Training keeps
 /// everything on the device and calls [`crate::render`] and [`crate::backward`] itself.
@@ -30,11 +30,17 @@ pub struct Rendered {
 
 impl<'a> GpuRasterizer<'a> {
     /// A rasterizer with these options.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn new(gpu: &'a Gpu, options: RenderOptions) -> Result<Self, GpuError> {
         Ok(Self { gpu, options, scratch: Scratch::new(gpu, Capacity::guess(1024, 1024))? })
     }
 
     /// Renders `gaussians`.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn render(&mut self, gaussians: &Gaussians, view: &View) -> Result<Rendered, GpuError> {
         let scene = GpuScene::upload(self.gpu, gaussians)?;
         let view = GpuView::new(self.gpu, view.camera, view.background, view.tiles)?;
@@ -47,7 +53,7 @@ impl<'a> GpuRasterizer<'a> {
     /// When the device fails or has too little memory.
     pub fn render_views(&mut self, scene: &GpuScene, views: &[View]) -> Result<Vec<Rendered>, GpuError> {
         let mut out = Vec::with_capacity(views.len());
-        for group in views.chunks(VIEWS_A_SUBMISSION) {
+        for group in views.chunks(VIEWS_PER_SUBMISSION) {
             out.extend(self.render_group(scene, group)?);
         }
         Ok(out)
@@ -85,6 +91,9 @@ impl<'a> GpuRasterizer<'a> {
     }
 
     /// Renders a scene that is on the device, again with more memory if that was too little.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn render_uploaded(&mut self, scene: &GpuScene, view: &GpuView) -> Result<Rendered, GpuError> {
         self.render_on_device(scene, view)?;
         let pixels = self.gpu.download(&self.scratch.pixels, view.size().pixels())?;
@@ -112,6 +121,9 @@ impl<'a> GpuRasterizer<'a> {
 
     /// Renders and differentiates; derivatives as [`ffgs_rasterizer::CpuRasterizer::backward`] gives them,
     /// but overwriting `out`.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn render_and_differentiate(
         &mut self,
         gaussians: &Gaussians,

@@ -17,6 +17,9 @@ pub struct GpuScene {
 
 impl GpuScene {
     /// Copies Gaussians to the device.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn upload(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, GpuError> {
         let rows: Vec<Geometry> = (0..gaussians.len()).map(|i| Geometry::of(gaussians, i)).collect();
         Ok(Self {
@@ -56,6 +59,9 @@ impl GpuScene {
     }
 
     /// Zeros of the same shape: gradients, moments.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn zeros_like(&self, gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             geometry: gpu.buffer("Gaussians", self.geometry.bytes())?,
@@ -65,6 +71,9 @@ impl GpuScene {
     }
 
     /// Copies the Gaussians back. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn download(&self, gpu: &Gpu) -> Result<Gaussians, GpuError> {
         let mut out = Gaussians::zeros(self.count, self.sh_degree);
         let rows: Vec<Geometry> = gpu.download(&self.geometry, self.count)?;
@@ -87,6 +96,9 @@ pub struct GpuGradients {
 
 impl GpuGradients {
     /// Zeros for `scene`.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn new(gpu: &Gpu, scene: &GpuScene, with_pose: bool) -> Result<Self, GpuError> {
         let rows = if with_pose { scene.count as u64 } else { 1 };
         Ok(Self {

@@ -102,6 +102,9 @@ impl Jobs {
 
 impl Scratch {
     /// Allocates for `capacity`.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
         let Capacity { gaussians, spans, pairs, pixels } = capacity;
         let make = |what: &str, items: usize, bytes: u64| gpu.buffer(what, items as u64 * bytes);
@@ -130,6 +133,9 @@ impl Scratch {
     }
 
     /// Grows to hold `capacity`, with all content lost; nothing happens when it does already.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn ensure(&mut self, gpu: &Gpu, capacity: Capacity) -> Result<(), GpuError> {
         let needed = self.capacity.max(capacity);
         if needed != self.capacity {
@@ -145,6 +151,9 @@ impl Scratch {
     }
 
     /// What the renders since [`Scratch::restart`] needed. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn needed(&self, gpu: &Gpu) -> Result<Capacity, GpuError> {
         let plan: Vec<u32> = gpu.download(&self.plan, plan::LENGTH)?;
         Ok(Capacity {

@@ -22,6 +22,9 @@ pub struct GpuView {
 
 impl GpuView {
     /// Copies a view to the device. An image as background is stored for the computed tiles only.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn new(
         gpu: &Gpu,
         camera: &Camera,
@@ -40,6 +43,9 @@ impl GpuView {
     }
 
     /// A view whose layers are filled on the device; `shared` ones serve several views in turn.
+    ///
+    /// # Errors
+    /// When the device has too little memory.
     pub fn layered(
         gpu: &Gpu,
         camera: &Camera,

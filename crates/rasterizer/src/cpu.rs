@@ -15,7 +15,7 @@ use ffgs_core::{Gaussians, instructions};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Chunks a thread that are projected before they are appended: enough to share out evenly, few enough to stay in cache.
+/// Chunks per thread that are projected before they are appended: enough to share out evenly, few enough to stay in cache.
 const CHUNKS_AHEAD: usize = 8;
 
 /// The CPU rasterizer.

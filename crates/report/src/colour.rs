@@ -1,7 +1,7 @@
 //! Colour maps, as 8-bit RGB.
 
 /// Viridis (matplotlib), every eighth of its range; `at` in 0..=1, clamped.
-pub fn viridis(at: f64) -> [u8; 3] {
+pub(crate) fn viridis(at: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 9] = [
         [68., 1., 84.],
         [71., 44., 122.],
@@ -17,7 +17,7 @@ pub fn viridis(at: f64) -> [u8; 3] {
 }
 
 /// Inferno (matplotlib), every eighth of its range; `at` in 0..=1, clamped.
-pub fn inferno(at: f64) -> [u8; 3] {
+pub(crate) fn inferno(at: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 9] = [
         [0., 0., 4.],
         [31., 12., 72.],
@@ -40,7 +40,7 @@ fn interpolate(stops: &[[f64; 3]; 9], at: f64) -> [u8; 3] {
 }
 
 /// Hue in turns (any real), saturation and value in 0..=1.
-pub fn hsv(hue: f64, saturation: f64, value: f64) -> [u8; 3] {
+pub(crate) fn hsv(hue: f64, saturation: f64, value: f64) -> [u8; 3] {
     let channel = |offset: f64| {
         let k = (offset + 6.0 * hue.rem_euclid(1.0)).rem_euclid(6.0);
         let dip = k.min(4.0 - k).clamp(0.0, 1.0);

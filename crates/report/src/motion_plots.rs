@@ -4,7 +4,7 @@ use crate::MotionAccuracy;
 use crate::plot::{Labels, Series, svg};
 
 /// Error histogram and calibration curve; nothing without estimates.
-pub fn motion_plots(motion: &[MotionAccuracy]) -> Vec<String> {
+pub(crate) fn motion_plots(motion: &[MotionAccuracy]) -> Vec<String> {
     let Some(first) = motion.first() else { return Vec::new() };
     vec![histogram(motion, &bin_names(&first.bins_cm)), calibration(motion)]
 }

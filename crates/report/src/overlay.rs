@@ -38,6 +38,9 @@ pub enum OverlayError {
 /// Motion from `means_prev` to `means_now` (m, one per Gaussian) as `camera` sees it, over the dimmed `background`:
 /// hue = direction of the projected displacement, saturation = its length, up to the 95 % quantile. The wheel in the
 /// corner is the legend: its rim has the colours of motions towards that side of the length written below it (px).
+///
+/// # Errors
+/// When the columns differ in length, or background and camera in size.
 pub fn motion_picture(
     camera: &Camera,
     means_prev: &[DVec3],
@@ -61,6 +64,9 @@ pub fn motion_picture(
 
 /// Position uncertainty, sqrt(tr Sigma), of each Gaussian (covariances in m^2) as dots in viridis over the dimmed
 /// `background`, logarithmic. The bar spans the 2 % to the 98 % quantile; its end values are written beside it (cm).
+///
+/// # Errors
+/// When the columns differ in length, or background and camera in size.
 pub fn uncertainty_picture(
     camera: &Camera,
     means: &[DVec3],

@@ -20,7 +20,7 @@ const MAX_WIDTH: f64 = 960.0;
 /// Narrowest picture (px) in which a viewer still recognises the scene.
 const MIN_WIDTH: f64 = 160.0;
 /// Absolute difference shown as the brightest colour (of 255).
-pub const ERROR_RANGE: f64 = 64.0;
+pub(crate) const ERROR_RANGE: f64 = 64.0;
 
 /// The pictures of one frame as `data:` URIs (JPEG).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

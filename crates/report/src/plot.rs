@@ -13,7 +13,7 @@ const TICKS: usize = 5;
 const COLOURS: [&str; 8] =
     ["#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666"];
 
-pub struct Series {
+pub(crate) struct Series {
     pub name: String,
     /// Drawn thicker: what the eye should follow.
     pub bold: bool,
@@ -22,7 +22,7 @@ pub struct Series {
 }
 
 /// What a plot says beside its axes.
-pub struct Labels<'a> {
+pub(crate) struct Labels<'a> {
     pub x: &'a str,
     pub y: &'a str,
     /// Text at x = 0, 1, ... instead of numbers.
@@ -30,12 +30,12 @@ pub struct Labels<'a> {
 }
 
 /// Values over frames.
-pub fn over_frames(y: &str, series: &[Series]) -> String {
+pub(crate) fn over_frames(y: &str, series: &[Series]) -> String {
     svg(&Labels { x: "frame", y, ticks: None }, series)
 }
 
 /// Inline SVG with axes, ticks, labels; the legend is HTML below it.
-pub fn svg(labels: &Labels, series: &[Series]) -> String {
+pub(crate) fn svg(labels: &Labels, series: &[Series]) -> String {
     let axes = Axes::around(series, labels.ticks.is_some() || labels.x == "frame");
     let mut out =
         format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">", escape(labels.y));

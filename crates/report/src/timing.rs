@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 
 #[derive(Debug, Serialize)]
-pub struct Row {
+pub(crate) struct Row {
     pub label: String,
     pub lane: &'static str,
     pub mean: String,
@@ -79,7 +79,7 @@ fn column(frames: &[FrameReport], names: &[&str]) -> Vec<f64> {
 
 /// One row per stage: mean over the frames after the first (which is trained from scratch), least and most. Stages that
 /// the paper does not have follow by name.
-pub fn rows(frames: &[FrameReport]) -> Vec<Row> {
+pub(crate) fn rows(frames: &[FrameReport]) -> Vec<Row> {
     let later = frames.get(1..).filter(|f| !f.is_empty()).unwrap_or(frames);
     let known = |name: &&str| STAGES.iter().any(|stage| stage.names.contains(name));
     let others: BTreeSet<&str> = later.iter().flat_map(|f| f.seconds.keys().map(String::as_str)).collect();
@@ -111,7 +111,7 @@ fn own_row(name: &str, column: &[f64]) -> Row {
 }
 
 /// Mean of the values; `None` without any.
-pub fn mean(values: &[f64]) -> Option<f64> {
+pub(crate) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 

@@ -20,8 +20,8 @@ const SCALES: [Scale; 2] = [SAMPLE, PAPER];
 
 /// Densification, agreement and association of the view in the middle.
 ///
-/// Floors, P = masked pixels, about 5 %. Densification: 8 distances, 8 exponentials and 32 products a pixel, 16 bytes
-/// written. Agreement of 3 trackers: 6 lengths and 3 exponentials a pixel, 36 bytes read, 12 written. Association: a
+/// Floors, P = masked pixels, about 5 %. Densification: 8 distances, 8 exponentials and 32 products per pixel, 16 bytes
+/// written. Agreement of 3 trackers: 6 lengths and 3 exponentials per pixel, 36 bytes read, 12 written. Association: a
 /// splat is 56 bytes read and about 100 operations to project; then 13 multiplications and additions for each pixel
 /// under each splat.
 fn one_view(c: &mut Criterion) {

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 /// What moves and how, from t-1 to t, near the origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scenario {
-    /// A rigid car, 1.4 m a frame, turning.
+    /// A rigid car, 1.4 m per frame, turning.
     Car,
     /// Two cars that pass each other.
     TwoSpeeds,
@@ -26,7 +26,7 @@ impl Scenario {
 }
 
 /// Points on surfaces with their motion.
-pub struct Cloud {
+pub(crate) struct Cloud {
     pub previous: Vec<DVec3>,
     pub truth: Vec<DVec3>,
     /// Outward normals at t-1.
@@ -62,7 +62,7 @@ impl Part {
     }
 }
 
-pub fn build(scenario: Scenario, gaussians: usize, rng: &mut ChaCha8Rng) -> Cloud {
+pub(crate) fn build(scenario: Scenario, gaussians: usize, rng: &mut ChaCha8Rng) -> Cloud {
     let parts = parts(scenario);
     let mut cloud = Cloud { previous: Vec::new(), truth: Vec::new(), normals: Vec::new(), parts: Vec::new() };
     for (id, part) in parts.iter().enumerate() {

@@ -19,12 +19,12 @@ pub enum Rig {
 }
 
 /// Cameras of the two frames.
-pub struct Cameras {
+pub(crate) struct Cameras {
     pub before: Vec<Camera>,
     pub now: Vec<Camera>,
 }
 
-pub fn cameras(rig: Rig, views: usize, moving: bool, rng: &mut ChaCha8Rng) -> Cameras {
+pub(crate) fn cameras(rig: Rig, views: usize, moving: bool, rng: &mut ChaCha8Rng) -> Cameras {
     let mut out = Cameras { before: Vec::new(), now: Vec::new() };
     for v in 0..views {
         let eye = eye(rig, (v as f64 + 0.5) / views as f64, rng);

@@ -46,7 +46,12 @@ impl Field {
 }
 
 /// (L) observations: a point that a camera sees at both times, displaced, with the tracker's error.
-pub fn observe(recipe: &Recipe, cloud: &Cloud, cameras: &Cameras, rng: &mut ChaCha8Rng) -> Vec<Observations> {
+pub(crate) fn observe(
+    recipe: &Recipe,
+    cloud: &Cloud,
+    cameras: &Cameras,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Observations> {
     let (n, views) = (cloud.truth.len(), cameras.now.len());
     let mut out = vec![Observations::unobserved(views, n); recipe.trackers];
     for v in 0..views {

@@ -1,4 +1,4 @@
-//! The whole way from observations to the posterior on simulated scenes, against the seed's fusion and the truth.
+//! The whole way from observations to the posterior on simulated scenes, against the literal fusion and the truth.
 
 use ffgs_core::{Estimates, Observations};
 use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};

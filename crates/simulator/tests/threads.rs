@@ -82,7 +82,7 @@ fn fields(view: &scene::SceneView) -> Vec<DenseMotion> {
     fields
 }
 
-/// (L) observations of all views, with so many contributors a pixel.
+/// (L) observations of all views, with so many contributors per pixel.
 fn observe(scene: &Scene, fields: &[Vec<DenseMotion>], contributors: usize) -> Vec<Observations> {
     let n = scene.previous.len();
     let mut observations = vec![Observations::unobserved(scene.views.len(), n); fields[0].len()];

@@ -2,25 +2,25 @@
 
 use crate::Problem;
 
-pub fn put_f32s<'a>(out: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f32>) {
+pub(crate) fn put_f32s<'a>(out: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f32>) {
     values.into_iter().for_each(|v| out.extend(v.to_le_bytes()));
 }
 
-pub fn put_f64s<'a>(out: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f64>) {
+pub(crate) fn put_f64s<'a>(out: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f64>) {
     values.into_iter().for_each(|v| out.extend(v.to_le_bytes()));
 }
 
-pub fn put_u64(out: &mut Vec<u8>, value: u64) {
+pub(crate) fn put_u64(out: &mut Vec<u8>, value: u64) {
     out.extend(value.to_le_bytes());
 }
 
-pub fn put_text(out: &mut Vec<u8>, text: &str) {
+pub(crate) fn put_text(out: &mut Vec<u8>, text: &str) {
     put_u64(out, text.len() as u64);
     out.extend(text.as_bytes());
 }
 
 /// A cursor over a payload; never reads or allocates past its end.
-pub struct Cursor<'a>(pub &'a [u8]);
+pub(crate) struct Cursor<'a>(pub &'a [u8]);
 
 impl<'a> Cursor<'a> {
     fn take(&mut self, count: usize, bytes_each: usize) -> Result<&'a [u8], Problem> {
@@ -30,40 +30,40 @@ impl<'a> Cursor<'a> {
         Ok(head)
     }
 
-    pub fn u64(&mut self) -> Result<u64, Problem> {
+    pub(crate) fn u64(&mut self) -> Result<u64, Problem> {
         Ok(u64::from_le_bytes(le(self.take(1, 8)?)))
     }
 
-    pub fn length(&mut self) -> Result<usize, Problem> {
+    pub(crate) fn length(&mut self) -> Result<usize, Problem> {
         usize::try_from(self.u64()?).map_err(|_| Problem::Corrupt("a length is out of range".into()))
     }
 
-    pub fn f64(&mut self) -> Result<f64, Problem> {
+    pub(crate) fn f64(&mut self) -> Result<f64, Problem> {
         Ok(f64::from_bits(self.u64()?))
     }
 
-    pub fn text(&mut self) -> Result<String, Problem> {
+    pub(crate) fn text(&mut self) -> Result<String, Problem> {
         let length = self.length()?;
         let bytes = self.take(length, 1)?.to_vec();
         String::from_utf8(bytes).map_err(|_| Problem::Corrupt("a name is not UTF-8".into()))
     }
 
-    pub fn f32s(&mut self, count: usize) -> Result<Vec<f32>, Problem> {
+    pub(crate) fn f32s(&mut self, count: usize) -> Result<Vec<f32>, Problem> {
         Ok(self.take(count, 4)?.chunks_exact(4).map(|b| f32::from_le_bytes(le(b))).collect())
     }
 
-    pub fn u32s(&mut self, count: usize) -> Result<Vec<u32>, Problem> {
+    pub(crate) fn u32s(&mut self, count: usize) -> Result<Vec<u32>, Problem> {
         Ok(self.take(count, 4)?.chunks_exact(4).map(|b| u32::from_le_bytes(le(b))).collect())
     }
 
     /// `rows` rows of N values.
-    pub fn f32_rows<const N: usize>(&mut self, rows: usize) -> Result<Vec<[f32; N]>, Problem> {
+    pub(crate) fn f32_rows<const N: usize>(&mut self, rows: usize) -> Result<Vec<[f32; N]>, Problem> {
         let bytes = self.take(rows, 4 * N)?;
         let row = |b: &[u8]| std::array::from_fn(|i| f32::from_le_bytes(le(&b[4 * i..4 * i + 4])));
         Ok(bytes.chunks_exact(4 * N).map(row).collect())
     }
 
-    pub fn f64_rows<const N: usize>(&mut self, rows: usize) -> Result<Vec<[f64; N]>, Problem> {
+    pub(crate) fn f64_rows<const N: usize>(&mut self, rows: usize) -> Result<Vec<[f64; N]>, Problem> {
         let bytes = self.take(rows, 8 * N)?;
         let row = |b: &[u8]| std::array::from_fn(|i| f64::from_le_bytes(le(&b[8 * i..8 * i + 8])));
         Ok(bytes.chunks_exact(8 * N).map(row).collect())

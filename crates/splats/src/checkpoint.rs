@@ -54,6 +54,9 @@ pub struct FrameState<'a> {
 }
 
 /// Writes a checkpoint atomically.
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError> {
     for layer in [&state.static_layer, &state.dynamic_layer] {
         layer.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
@@ -70,6 +73,9 @@ pub fn save_checkpoint(path: &Path, state: &FrameState) -> Result<(), SplatError
 
 /// Reads a checkpoint; a truncated or altered file, one of another version, or one whose columns do not go together,
 /// is an error.
+///
+/// # Errors
+/// When the file cannot be read, is no state file of a version that is known, or is damaged.
 pub fn load_checkpoint(path: &Path) -> Result<FrameState<'static>, SplatError> {
     let mut bytes = Vec::new();
     open_input(path).and_then(|mut file| file.read_to_end(&mut bytes)).in_file(path)?;

@@ -4,7 +4,7 @@
 const ROUNDS: usize = 8;
 
 /// Up to `size` representatives of `values`, ascending; a single 0 of none.
-pub fn codebook(values: impl Iterator<Item = f32>, size: usize) -> Vec<f32> {
+pub(crate) fn codebook(values: impl Iterator<Item = f32>, size: usize) -> Vec<f32> {
     let mut sorted: Vec<f32> = values.collect();
     if sorted.is_empty() {
         return vec![0.0];
@@ -34,14 +34,14 @@ pub fn codebook(values: impl Iterator<Item = f32>, size: usize) -> Vec<f32> {
 }
 
 /// Index of the entry of an ascending codebook that is nearest to `value`.
-pub fn nearest(codebook: &[f32], value: f32) -> usize {
+pub(crate) fn nearest(codebook: &[f32], value: f32) -> usize {
     let above = codebook.partition_point(|&c| c < value).min(codebook.len() - 1);
     let below = above.saturating_sub(1);
     if (value - codebook[below]).abs() <= (codebook[above] - value).abs() { below } else { above }
 }
 
 /// Vectors grouped into at most `size` cells, and the mean of each cell.
-pub struct Palette {
+pub(crate) struct Palette {
     /// Mean of each cell.
     pub centroids: Vec<Vec<f32>>,
     /// Cell of each vector.
@@ -49,7 +49,7 @@ pub struct Palette {
 }
 
 /// Splits the cell with the largest squared error along its widest axis at the mean, until there are `size` or none can be split.
-pub fn palette(vectors: &[Vec<f32>], size: usize) -> Palette {
+pub(crate) fn palette(vectors: &[Vec<f32>], size: usize) -> Palette {
     let mut order: Vec<usize> = (0..vectors.len()).collect();
     let mut cells = std::collections::BinaryHeap::from([Cell::new(vectors, &order, 0..vectors.len())]);
     let mut done = Vec::new();

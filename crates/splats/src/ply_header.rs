@@ -5,14 +5,14 @@ use std::io::{BufRead, Read};
 const MAX_HEADER_BYTES: u64 = 1 << 16;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
+pub(crate) enum Encoding {
     Ascii,
     LittleEndian,
     BigEndian,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scalar {
+pub(crate) enum Scalar {
     I8,
     U8,
     I16,
@@ -38,7 +38,7 @@ impl Scalar {
         })
     }
 
-    pub fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -53,7 +53,7 @@ impl Scalar {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Property {
+pub(crate) struct Property {
     pub name: String,
     /// Type of the count in front of a list; `None` for a single value.
     pub list_count: Option<Scalar>,
@@ -61,7 +61,7 @@ pub struct Property {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Element {
+pub(crate) struct Element {
     pub name: String,
     pub count: u64,
     pub properties: Vec<Property>,
@@ -69,7 +69,7 @@ pub struct Element {
 
 impl Element {
     /// Least number of bytes of one row (an empty list still has its count).
-    pub fn least_row_bytes(&self, encoding: Encoding) -> u64 {
+    pub(crate) fn least_row_bytes(&self, encoding: Encoding) -> u64 {
         let bytes = |p: &Property| match encoding {
             Encoding::Ascii => 2,
             _ => p.list_count.unwrap_or(p.scalar).bytes() as u64,
@@ -79,13 +79,13 @@ impl Element {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Header {
+pub(crate) struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
 }
 
 /// Reads up to and including `end_header`.
-pub fn read_header(reader: &mut impl BufRead) -> Result<Header, Problem> {
+pub(crate) fn read_header(reader: &mut impl BufRead) -> Result<Header, Problem> {
     let mut reader = reader.take(MAX_HEADER_BYTES);
     if next_line(&mut reader)? != "ply" {
         return Err(Problem::Header("the first line is not `ply`".into()));

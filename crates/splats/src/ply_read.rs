@@ -23,6 +23,9 @@ pub struct PlySplats {
 
 /// Reads a 3DGS PLY, ascii or binary. Unknown properties and elements are skipped; the SH degree follows from the
 /// number of `f_rest_*`. Truncated files, missing properties and values that are not finite are errors.
+///
+/// # Errors
+/// When the file cannot be read, is no binary PLY of splats, or is damaged.
 pub fn read_ply(path: &Path) -> Result<PlySplats, SplatError> {
     read_file(path).in_file(path)
 }

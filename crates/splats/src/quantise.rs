@@ -1,22 +1,22 @@
 //! Rounding that several formats share.
 
 /// Coefficient of the constant spherical harmonic: colour = `SH_C0 * dc + 0.5`.
-pub const SH_C0: f32 = 0.282_094_79;
+pub(crate) const SH_C0: f32 = 0.282_094_79;
 
 /// `value` (0..=1) as an unsigned integer of `bits` bits.
-pub fn unorm(value: f32, bits: u32) -> u32 {
+pub(crate) fn unorm(value: f32, bits: u32) -> u32 {
     let top = ((1_u32 << bits) - 1) as f32;
     (value * top).round().clamp(0.0, top) as u32
 }
 
 /// `value` rounded to the nearest byte.
-pub fn to_byte(value: f32) -> u8 {
+pub(crate) fn to_byte(value: f32) -> u8 {
     value.round().clamp(0.0, 255.0) as u8
 }
 
 /// A unit quaternion by its three smaller components: the index of the largest, which is made positive, and the others
 /// in their order, each between -sqrt(1/2) and sqrt(1/2). A quaternion of length 0 becomes the identity (1, 0, 0, 0).
-pub fn smallest_three(quat: [f32; 4]) -> (usize, [f32; 3]) {
+pub(crate) fn smallest_three(quat: [f32; 4]) -> (usize, [f32; 3]) {
     let length = quat.iter().map(|v| v * v).sum::<f32>().sqrt();
     let unit = if length > 0.0 { quat.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] };
     let mut largest = 0;
@@ -33,7 +33,7 @@ pub fn smallest_three(quat: [f32; 4]) -> (usize, [f32; 3]) {
 }
 
 /// Inverse of [`smallest_three`].
-pub fn from_smallest_three(largest: usize, rest: [f32; 3]) -> [f32; 4] {
+pub(crate) fn from_smallest_three(largest: usize, rest: [f32; 3]) -> [f32; 4] {
     let squares: f32 = rest.iter().map(|v| v * v).sum();
     let mut out = [0.0; 4];
     let mut rest = rest.into_iter();

@@ -20,6 +20,9 @@ const CROSS: [(u32, u32); 6] = [(2, 1), (0, 1), (1, 0), (1, 2), (1, 1), (3, 1)];
 /// Writes the sky as six 8-bit PNGs `sky_px.png` .. `sky_nz.png` into `folder` and returns their paths.
 ///
 /// `texels` holds 6 * face_size^2 * 3 values: face ([`SKY_FACES`]), row, column, RGB; clamped to [0, 1].
+///
+/// # Errors
+/// When a file cannot be written.
 pub fn write_sky_faces(folder: &Path, face_size: usize, texels: &[f32]) -> Result<Vec<PathBuf>, SplatError> {
     let faces = faces(face_size, texels).in_file(folder)?;
     let write = |(face, name): (&RgbImage, &str)| {
@@ -31,6 +34,9 @@ pub fn write_sky_faces(folder: &Path, face_size: usize, texels: &[f32]) -> Resul
 
 /// Writes the sky as one 8-bit PNG, a cross of 4 x 3 faces; the corners are black. `texels` as in
 /// [`write_sky_faces`].
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn write_sky_cross(path: &Path, face_size: usize, texels: &[f32]) -> Result<(), SplatError> {
     let faces = faces(face_size, texels).in_file(path)?;
     let edge = face_size as u32;

@@ -66,12 +66,12 @@ impl Level {
     }
 
     /// Index of a pixel in the padded planes; it may lie up to `PAD` outside.
-    pub fn index(&self, column: isize, row: isize) -> usize {
+    pub(crate) fn index(&self, column: isize, row: isize) -> usize {
         (row + PAD as isize) as usize * self.stride + (column + PAD as isize) as usize
     }
 
     /// Length of a padded row.
-    pub fn stride(&self) -> usize {
+    pub(crate) fn stride(&self) -> usize {
         self.stride
     }
 }

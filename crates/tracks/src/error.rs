@@ -61,7 +61,7 @@ pub(crate) enum TracksError {
 
 impl TracksError {
     /// This error of `file`, with what to do about it.
-    pub fn in_file(&self, file: &Path) -> Fault {
+    pub(crate) fn in_file(&self, file: &Path) -> Fault {
         Fault::new(file, self, self.fix())
     }
 

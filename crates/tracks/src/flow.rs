@@ -16,7 +16,7 @@ pub(crate) struct RawFlow {
 
 impl RawFlow {
     /// Confidence 1 where there is motion (standing still included); unknown and non-finite pixels get 0 and count.
-    pub fn into_motion(self, file: &Path, expected: ImageSize) -> Result<Tracked, TracksError> {
+    pub(crate) fn into_motion(self, file: &Path, expected: ImageSize) -> Result<Tracked, TracksError> {
         if self.size != expected {
             return Err(TracksError::Size { file: file.to_owned(), expected, found: self.size });
         }

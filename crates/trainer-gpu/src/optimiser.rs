@@ -37,7 +37,7 @@ fn moments(gpu: &Gpu, scene: &GpuScene, columns: Columns) -> Result<GpuScene, Gp
 
 impl<'a> Optimiser<'a> {
     /// Trains `columns` of `scene` in place; no moments are kept of the others.
-    pub fn new(gpu: &'a Gpu, scene: GpuScene, columns: Columns) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &'a Gpu, scene: GpuScene, columns: Columns) -> Result<Self, GpuError> {
         Ok(Self {
             gpu,
             gradients: GpuGradients::new(gpu, &scene, false)?,
@@ -52,12 +52,12 @@ impl<'a> Optimiser<'a> {
     }
 
     /// Factors of the moments by number of steps.
-    pub fn corrections(&self) -> &Buffer {
+    pub(crate) fn corrections(&self) -> &Buffer {
         &self.corrections
     }
 
     /// Sets the step that [`Optimiser::step`] records: 448 bytes to the device.
-    pub fn prepare(&self, rates: &LearningRates, stamp: u32) {
+    pub(crate) fn prepare(&self, rates: &LearningRates, stamp: u32) {
         let items = self.scene.count as u32;
         let [m, o, q, s] = [rates.means, rates.opacities, rates.quats, rates.scales];
         let geometry = [m, m, m, o, q, q, q, q, s, s, s, 0.0];
@@ -81,7 +81,7 @@ impl<'a> Optimiser<'a> {
     }
 
     /// Records one step down the gradients.
-    pub fn step(&self, commands: &mut Commands) {
+    pub(crate) fn step(&self, commands: &mut Commands) {
         let Self { scene, first, second, gradients, .. } = self;
         let ledger = [&gradients.ledger, &self.corrections];
         let columns = |step, gradient, p, m, v| [step, ledger[0], ledger[1], gradient, p, m, v];
@@ -99,23 +99,23 @@ impl<'a> Optimiser<'a> {
 
     /// First and second moments. Waits for the device.
     #[cfg(test)]
-    pub fn moments(&self) -> Result<[Gaussians; 2], GpuError> {
+    pub(crate) fn moments(&self) -> Result<[Gaussians; 2], GpuError> {
         Ok([self.first.download(self.gpu)?, self.second.download(self.gpu)?])
     }
 
     /// The Gaussians. Waits for the device.
-    pub fn download(&self) -> Result<Gaussians, GpuError> {
+    pub(crate) fn download(&self) -> Result<Gaussians, GpuError> {
         self.scene.download(self.gpu)
     }
 
     /// What the steps noted of every Gaussian. Waits for the device.
-    pub fn ledger(&self) -> Result<Vec<Ledger>, GpuError> {
+    pub(crate) fn ledger(&self) -> Result<Vec<Ledger>, GpuError> {
         self.gpu.download(&self.gradients.ledger, self.scene.count)
     }
 
     /// Takes `gaussians`, made from the old ones as `map` says: kept ones keep moments and steps, new ones start anew.
     /// `keep_opacity` = false zeroes the opacities' moments; `keep_sums` = false zeroes the statistics of density control.
-    pub fn replace(
+    pub(crate) fn replace(
         &mut self,
         gaussians: &Gaussians,
         map: &IndexMap,

@@ -22,7 +22,7 @@ pub(crate) struct GpuPrior {
 
 impl GpuPrior {
     /// `seen` = views that see each Gaussian of `start`.
-    pub fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
         let information = prior.information;
         let rows: Vec<[f32; 8]> = information
             .positions
@@ -47,7 +47,7 @@ impl GpuPrior {
     }
 
     /// Adds its derivative to that of the loss of a view, for the Gaussians that the view drew.
-    pub fn pull(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
+    pub(crate) fn pull(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
         let Self { uniform, seen, positions, others, start } = self;
         let (scene, gradients) = (&optimiser.scene, &optimiser.gradients);
         let shared = |now, start, known, gradient| {

@@ -26,7 +26,7 @@ struct Training {
 
 impl GpuSky {
     /// One that stays.
-    pub fn fixed(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
+    pub(crate) fn fixed(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
         let size = sky.face_size() as u32;
         let uniform = SkyUniform { size, scale: UNIT, rate: 0.0, epsilon: 1.0 };
         Ok(Self {
@@ -38,7 +38,7 @@ impl GpuSky {
     }
 
     /// One that is trained.
-    pub fn trained(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
+    pub(crate) fn trained(gpu: &Gpu, sky: &SkyCube) -> Result<Self, GpuError> {
         let texels = sky.texels.len() as u64;
         let training = Training {
             gradient: gpu.buffer("sky gradient", texels * 12)?,
@@ -50,20 +50,26 @@ impl GpuSky {
 
     /// Sets the step size, the size of a typical derivative of one pixel, and the derivative that moves a texel at half
     /// the step size.
-    pub fn prepare(&self, gpu: &Gpu, rate: f32, typical: f32, epsilon: f32) {
+    pub(crate) fn prepare(&self, gpu: &Gpu, rate: f32, typical: f32, epsilon: f32) {
         let size = self.face_size as u32;
         gpu.write(&self.uniform, &[SkyUniform { size, scale: UNIT / typical, rate, epsilon }]);
     }
 
     /// Puts the sky into the layers of a target's view.
-    pub fn draw(&self, commands: &mut Commands, target: &Target) {
+    pub(crate) fn draw(&self, commands: &mut Commands, target: &Target) {
         let view = &target.view;
         let buffers = [view.uniform(), &self.uniform, view.slot_list(), &self.texels, &view.layers];
         commands.run(&kernels::SKY_LAYERS, &buffers, Groups::of(view.slots(), 1));
     }
 
     /// One step down the derivative that reaches the sky through what was rendered last.
-    pub fn step(&self, commands: &mut Commands, target: &Target, scratch: &Scratch, corrections: &Buffer) {
+    pub(crate) fn step(
+        &self,
+        commands: &mut Commands,
+        target: &Target,
+        scratch: &Scratch,
+        corrections: &Buffer,
+    ) {
         let Some(Training { gradient, steps, moments }) = &self.training else { return };
         let view = &target.view;
         let gather =
@@ -74,7 +80,7 @@ impl GpuSky {
     }
 
     /// The texels. Waits for the device.
-    pub fn download(&self, gpu: &Gpu, sky: &mut SkyCube) -> Result<(), GpuError> {
+    pub(crate) fn download(&self, gpu: &Gpu, sky: &mut SkyCube) -> Result<(), GpuError> {
         sky.texels = gpu.download(&self.texels, sky.texels.len())?;
         Ok(())
     }

@@ -18,7 +18,7 @@ pub(crate) enum Surroundings<'a> {
 
 impl Surroundings<'_> {
     /// Puts the sky into the layers of a target's view.
-    pub fn draw(&self, commands: &mut Commands, target: &Target) {
+    pub(crate) fn draw(&self, commands: &mut Commands, target: &Target) {
         match self {
             Self::Sky(sky) | Self::Trained(sky, _) => sky.draw(commands, target),
             Self::Cut => {}
@@ -26,7 +26,7 @@ impl Surroundings<'_> {
     }
 
     /// One step of the sky, if it is trained.
-    pub fn step(
+    pub(crate) fn step(
         &self,
         commands: &mut Commands,
         target: &Target,
@@ -39,7 +39,7 @@ impl Surroundings<'_> {
     }
 
     /// Writes a trained sky back. Waits for the device.
-    pub fn download(self, gpu: &Gpu) -> Result<(), GpuError> {
+    pub(crate) fn download(self, gpu: &Gpu) -> Result<(), GpuError> {
         match self {
             Self::Trained(sky, texels) => sky.download(gpu, texels),
             Self::Sky(_) | Self::Cut => Ok(()),

@@ -25,7 +25,7 @@ pub(crate) struct Selection<'a> {
 }
 
 impl Target {
-    pub fn new(
+    pub(crate) fn new(
         gpu: &Gpu,
         camera: &Camera,
         image: &ImageRgb8,

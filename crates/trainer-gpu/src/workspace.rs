@@ -2,7 +2,7 @@ use crate::kernels;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TILE};
-use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_A_SUBMISSION, deal, prepare};
+use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_PER_SUBMISSION, deal, prepare};
 use ffgs_trainer::{Progress, TaskView};
 
 /// Steps between two looks at the running loss.
@@ -22,7 +22,7 @@ pub(crate) struct Workspace<'a> {
 
 impl<'a> Workspace<'a> {
     /// Room for views of up to `pixels` pixels.
-    pub fn new(gpu: &'a Gpu, gaussians: usize, pixels: usize) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &'a Gpu, gaussians: usize, pixels: usize) -> Result<Self, GpuError> {
         Ok(Self {
             gpu,
             scratch: Scratch::new(gpu, Capacity::guess(gaussians, pixels))?,
@@ -34,7 +34,7 @@ impl<'a> Workspace<'a> {
     }
 
     /// Makes room for `scene` in every view, and half as much again for what training adds. Waits for the device.
-    pub fn fit(
+    pub(crate) fn fit(
         &mut self,
         scene: &GpuScene,
         targets: &[Target],
@@ -43,7 +43,7 @@ impl<'a> Workspace<'a> {
         let gpu = self.gpu;
         self.scratch.ensure(gpu, Capacity { gaussians: scene.count, ..Capacity::default() })?;
         self.scratch.restart(gpu, scene.count);
-        for group in targets.chunks(VIEWS_A_SUBMISSION) {
+        for group in targets.chunks(VIEWS_PER_SUBMISSION) {
             let mut commands = gpu.commands();
             for target in group {
                 prepare(gpu, scene, &target.view, &self.scratch, options, 0);
@@ -59,19 +59,19 @@ impl<'a> Workspace<'a> {
     }
 
     /// Makes room for what the renders since [`Workspace::fit`] lacked. Waits for the device.
-    pub fn grow(&mut self) -> Result<(), GpuError> {
+    pub(crate) fn grow(&mut self) -> Result<(), GpuError> {
         let needed = self.scratch.needed(self.gpu)?.with_margin();
         self.scratch.ensure(self.gpu, needed)
     }
 
     /// Whether every render since [`Workspace::fit`] had room for all splats. Waits for the device.
-    pub fn was_enough(&self) -> Result<bool, GpuError> {
+    pub(crate) fn was_enough(&self) -> Result<bool, GpuError> {
         Ok(self.scratch.holds(self.scratch.needed(self.gpu)?))
     }
 
     /// Records the loss of the last render against `target`: derivatives into the scratch's upstream, value into the
     /// running means.
-    pub fn loss(&self, commands: &mut Commands, target: &Target) {
+    pub(crate) fn loss(&self, commands: &mut Commands, target: &Target) {
         let (view, s) = (&target.view, &self.scratch);
         let (slots, groups) = (view.slot_list(), Groups::of(3 * view.slots(), 1));
         let statistics =
@@ -92,13 +92,13 @@ impl<'a> Workspace<'a> {
     }
 
     /// Running means of the loss and of the squared error: 16 bytes. Waits for the device.
-    pub fn running(&self) -> Result<[f64; 2], GpuError> {
+    pub(crate) fn running(&self) -> Result<[f64; 2], GpuError> {
         let progress: Vec<f32> = self.gpu.download(&self.progress, 4)?;
         Ok([f64::from(progress[0]), f64::from(progress[1])])
     }
 
     /// Now and then, and at the end, how far the training has come. Waits for the device when it does.
-    pub fn progress(
+    pub(crate) fn progress(
         &self,
         done: usize,
         iterations: usize,

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticMethod {
-    /// One linear least-squares problem a frame: with frozen geometry the image is linear in the SH coefficients.
+    /// One linear least-squares problem per frame: with frozen geometry the image is linear in the SH coefficients.
     Solve,
     /// Steps of Adam, as in the paper.
     Steps,

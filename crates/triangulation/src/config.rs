@@ -52,7 +52,7 @@ impl Default for TriangulationConfig {
 }
 
 impl TriangulationConfig {
-    /// Algorithm 1 to the letter: plain weighted rays, the 25 degree rule, every view counted.
+    /// Our most literal reading of Algorithm 1: plain weighted rays, the 25 degree rule, every view counted.
     pub fn literal() -> Self {
         Self {
             depth_weighting: false,

@@ -3,7 +3,7 @@ use pulp::Simd;
 
 /// A symmetric 3x3 normal system `A x = b` in every lane.
 #[derive(Clone, Copy)]
-pub struct Normal<S: Simd> {
+pub(crate) struct Normal<S: Simd> {
     /// `A`: xx, xy, xz, yy, yz, zz.
     pub a: [Real<S>; 6],
     pub b: [Real<S>; 3],
@@ -22,13 +22,13 @@ struct Factors<S: Simd> {
 
 impl<S: Simd> Normal<S> {
     #[inline(always)]
-    pub fn zero(simd: S) -> Self {
+    pub(crate) fn zero(simd: S) -> Self {
         Self { a: [Real::all(simd, 0.0); 6], b: [Real::all(simd, 0.0); 3] }
     }
 
     /// Adds `j j^T w` and `j e`.
     #[inline(always)]
-    pub fn add_row(&mut self, j: [Real<S>; 3], weight: Real<S>, error: Real<S>) {
+    pub(crate) fn add_row(&mut self, j: [Real<S>; 3], weight: Real<S>, error: Real<S>) {
         let weighted = [j[0] * weight, j[1] * weight, j[2] * weight];
         let (a, b) = (&mut self.a, &mut self.b);
         a[0] = weighted[0].times_plus(j[0], a[0]);
@@ -44,7 +44,7 @@ impl<S: Simd> Normal<S> {
 
     /// Adds `w (I - d d^T)` and `w (I - d d^T) c`: the lines through `c` along the unit vectors `d`.
     #[inline(always)]
-    pub fn add_line(&mut self, d: [Real<S>; 3], c: [Real<S>; 3], weight: Real<S>) {
+    pub(crate) fn add_line(&mut self, d: [Real<S>; 3], c: [Real<S>; 3], weight: Real<S>) {
         let (a, b) = (&mut self.a, &mut self.b);
         let weighted = [d[0] * weight, d[1] * weight, d[2] * weight];
         let along = dot(d, c);
@@ -61,14 +61,14 @@ impl<S: Simd> Normal<S> {
 
     /// `A x = b`, and where A is positive definite to working precision.
     #[inline(always)]
-    pub fn solve(&self, simd: S) -> ([Real<S>; 3], Truth<S>) {
+    pub(crate) fn solve(&self, simd: S) -> ([Real<S>; 3], Truth<S>) {
         let factors = self.factors(simd);
         (factors.solve(self.b), factors.sound)
     }
 
     /// `A^-1` (xx, xy, xz, yy, yz, zz), as [`Normal::solve`].
     #[inline(always)]
-    pub fn inverse(&self, simd: S) -> ([Real<S>; 6], Truth<S>) {
+    pub(crate) fn inverse(&self, simd: S) -> ([Real<S>; 6], Truth<S>) {
         let (zero, one) = (Real::all(simd, 0.0), Real::all(simd, 1.0));
         let factors = self.factors(simd);
         let (x, y) = (factors.solve([one, zero, zero]), factors.solve([zero, one, zero]));
@@ -78,7 +78,7 @@ impl<S: Simd> Normal<S> {
 
     /// The same system with the diagonal grown by a share of itself.
     #[inline(always)]
-    pub fn damped(mut self, simd: S, damping: Real<S>) -> Self {
+    pub(crate) fn damped(mut self, simd: S, damping: Real<S>) -> Self {
         for k in [0, 3, 5] {
             self.a[k] = self.a[k] * (Real::all(simd, 1.0) + damping);
         }
@@ -87,7 +87,7 @@ impl<S: Simd> Normal<S> {
 
     /// `yes` where true, elsewhere `no`.
     #[inline(always)]
-    pub fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+    pub(crate) fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
         let mut out = no;
         for k in 0..6 {
             out.a[k] = place.select(yes.a[k], no.a[k]);

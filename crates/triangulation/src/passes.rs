@@ -6,11 +6,11 @@ use crate::views::{LensLanes, Row, Views};
 use pulp::{Simd, WithSimd};
 
 /// Twice the cut, squared: the first guess is not refined yet, and a view lost there never returns.
-pub const NEAR2: f64 = 4.0;
+pub(crate) const NEAR2: f64 = 4.0;
 
 /// How rays are weighted at a point.
 #[derive(Clone, Copy)]
-pub enum RayWeights<S: Simd> {
+pub(crate) enum RayWeights<S: Simd> {
     /// By the observations' weights alone.
     Plain,
     /// Times `(f / z)^2`, which turns squared distances to the ray into px^2.
@@ -21,7 +21,7 @@ pub enum RayWeights<S: Simd> {
 
 /// A normal system with the cost it came from, at a point.
 #[derive(Clone, Copy)]
-pub struct Fit<S: Simd> {
+pub(crate) struct Fit<S: Simd> {
     pub point: [Real<S>; 3],
     pub normal: Normal<S>,
     /// Weighted sum of squared residuals (px^2).
@@ -37,7 +37,7 @@ pub struct Fit<S: Simd> {
 
 /// The squared residuals of all views at a point, in brief.
 #[derive(Clone, Copy)]
-pub struct Survey<S: Simd> {
+pub(crate) struct Survey<S: Simd> {
     /// Views within the cut.
     pub agreeing: Real<S>,
     /// Views within twice the cut.
@@ -60,27 +60,27 @@ impl<S: Simd> Views<'_, S> {
     /// Weighted meeting point of the rays as a normal system (Algorithm 1, line 23): `A = sum w W`, `b = sum w W c`,
     /// `W = I - d d^T`, with the weights of `point`.
     #[inline(always)]
-    pub fn meet(&self, point: [Real<S>; 3], weights: RayWeights<S>) -> Normal<S> {
+    pub(crate) fn meet(&self, point: [Real<S>; 3], weights: RayWeights<S>) -> Normal<S> {
         self.simd.vectorize(RayPass { views: self, point, weights })
     }
 
     /// `sum w J^T J`, `sum w J^T r` of the projections at `point`, and the residuals; and where the point is behind one of
     /// the cameras: then the rest is of the other views.
     #[inline(always)]
-    pub fn reproject(&self, point: [Real<S>; 3]) -> (Fit<S>, Truth<S>) {
+    pub(crate) fn reproject(&self, point: [Real<S>; 3]) -> (Fit<S>, Truth<S>) {
         self.simd.vectorize(ReprojectionPass { views: self, point })
     }
 
     /// The residuals at a point.
     #[inline(always)]
-    pub fn survey(&self, point: [Real<S>; 3], cut2: Real<S>) -> Survey<S> {
+    pub(crate) fn survey(&self, point: [Real<S>; 3], cut2: Real<S>) -> Survey<S> {
         self.simd.vectorize(SurveyPass { views: self, point, cut2 })
     }
 
     /// Removes the worst view of the lanes and takes its share out of the fit's sums; which view is the worst now is not
     /// known then.
     #[inline(always)]
-    pub fn remove_worst(&mut self, lanes: Truth<S>, fit: &mut Fit<S>) {
+    pub(crate) fn remove_worst(&mut self, lanes: Truth<S>, fit: &mut Fit<S>) {
         let zero = self.number(0.0);
         let mut gone = Fit { normal: Normal::zero(self.simd), cost: zero, ..*fit };
         for lane in lanes.lanes() {
@@ -102,7 +102,7 @@ impl<S: Simd> Views<'_, S> {
 
     /// Removes the views whose squared residual at `point` is not within the limit.
     #[inline(always)]
-    pub fn remove_beyond(&mut self, lanes: Truth<S>, point: [Real<S>; 3], limit2: Real<S>) {
+    pub(crate) fn remove_beyond(&mut self, lanes: Truth<S>, point: [Real<S>; 3], limit2: Real<S>) {
         let (zero, one) = (self.number(0.0), self.number(1.0));
         for k in 0..self.rows.len() {
             let row = self.rows[k];
@@ -117,7 +117,7 @@ impl<S: Simd> Views<'_, S> {
     /// Appends the squared residuals (px^2) of the views, times their weight, corrected for the three fitted coordinates,
     /// Gaussian by Gaussian.
     #[inline(always)]
-    pub fn push_errors(&self, lanes: Truth<S>, point: [Real<S>; 3], out: &mut Vec<f64>) {
+    pub(crate) fn push_errors(&self, lanes: Truth<S>, point: [Real<S>; 3], out: &mut Vec<f64>) {
         let mut errors = Vec::with_capacity(self.rows.len());
         let twice = self.count + self.count;
         let correction = twice / (twice - self.number(3.0));
@@ -137,7 +137,7 @@ impl<S: Simd> Views<'_, S> {
 
     /// Weighted squared distances to the rays in pixels, infinite behind a camera.
     #[inline(always)]
-    pub fn ray_cost(&self, point: [Real<S>; 3]) -> Real<S> {
+    pub(crate) fn ray_cost(&self, point: [Real<S>; 3]) -> Real<S> {
         let (zero, infinity) = (self.number(0.0), self.number(f64::INFINITY));
         let mut cost = zero;
         for row in &self.rows {
@@ -158,7 +158,7 @@ impl<S: Simd> Views<'_, S> {
 
 /// Squared residual (px^2) of a point in camera coordinates; infinite behind the camera.
 #[inline(always)]
-pub fn squared_error<S: Simd>(
+pub(crate) fn squared_error<S: Simd>(
     simd: S,
     lens: &LensLanes<S>,
     target: [Real<S>; 2],

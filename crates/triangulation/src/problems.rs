@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// N previous means, V cameras of 110 degrees and what they observed.
-pub struct Problems {
+pub(crate) struct Problems {
     pub previous: Vec<DVec3>,
     pub cameras: Vec<Camera>,
     pub observations: Observations,
@@ -15,7 +15,7 @@ pub struct Problems {
 
 /// What is the matter with a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Trouble {
+pub(crate) enum Trouble {
     /// Nothing but noise and gross outliers.
     Outliers,
     /// Two or three views.
@@ -52,7 +52,7 @@ impl Trouble {
     ];
 
     /// Of the problem of this number.
-    pub fn of(problem: usize) -> Self {
+    pub(crate) fn of(problem: usize) -> Self {
         Self::ALL[problem % Self::ALL.len()]
     }
 }
@@ -86,7 +86,7 @@ fn ball(rng: &mut ChaCha8Rng, radius: f64) -> DVec3 {
 }
 
 /// `count` problems with a share of gross outliers and uniform noise of up to 1 px an axis, the kinds of [`Trouble`] in turn.
-pub fn unpleasant(seed: u64, count: usize, outliers: f64) -> Problems {
+pub(crate) fn unpleasant(seed: u64, count: usize, outliers: f64) -> Problems {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let cameras = cameras(&mut rng);
     let mut observations = Observations::unobserved(VIEWS, count);

@@ -4,21 +4,21 @@ use pulp::{Simd, bytemuck};
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
 /// Lanes of the widest instruction set: one AVX-512 register.
-pub const MAX_LANES: usize = 8;
+pub(crate) const MAX_LANES: usize = 8;
 
-/// A number a lane, in as many lanes as somebody may have.
-pub type Lanes = [f64; MAX_LANES];
+/// One number per SIMD lane, for the widest vector there is.
+pub(crate) type Lanes = [f64; MAX_LANES];
 
-/// One number a lane, of whatever number of lanes the dispatched instruction set has.
+/// One number per SIMD lane; the dispatched instruction set decides how many.
 #[derive(Clone, Copy)]
-pub struct Real<S: Simd> {
+pub(crate) struct Real<S: Simd> {
     simd: S,
     lanes: S::f64s,
 }
 
-/// One truth value a lane.
+/// One truth value per SIMD lane.
 #[derive(Clone, Copy)]
-pub struct Truth<S: Simd> {
+pub(crate) struct Truth<S: Simd> {
     simd: S,
     lanes: S::m64s,
 }
@@ -26,19 +26,19 @@ pub struct Truth<S: Simd> {
 impl<S: Simd> Real<S> {
     /// The same number in every lane.
     #[inline(always)]
-    pub fn all(simd: S, value: f64) -> Self {
+    pub(crate) fn all(simd: S, value: f64) -> Self {
         Self { simd, lanes: simd.splat_f64s(value) }
     }
 
     /// The first entries, one per lane.
     #[inline(always)]
-    pub fn from_lanes(simd: S, values: &Lanes) -> Self {
+    pub(crate) fn from_lanes(simd: S, values: &Lanes) -> Self {
         Self { simd, lanes: S::as_simd_f64s(values).0[0] }
     }
 
-    /// A number a lane, then zeros.
+    /// One number per SIMD lane, then zeros.
     #[inline(always)]
-    pub fn to_lanes(self) -> Lanes {
+    pub(crate) fn to_lanes(self) -> Lanes {
         let mut out = [0.0; MAX_LANES];
         S::as_mut_simd_f64s(&mut out).0[0] = self.lanes;
         out
@@ -46,55 +46,55 @@ impl<S: Simd> Real<S> {
 
     /// The number of one lane.
     #[inline(always)]
-    pub fn lane(&self, lane: usize) -> f64 {
+    pub(crate) fn lane(&self, lane: usize) -> f64 {
         bytemuck::cast_slice::<S::f64s, f64>(std::slice::from_ref(&self.lanes))[lane]
     }
 
     /// Sets the number of one lane.
     #[inline(always)]
-    pub fn set_lane(&mut self, lane: usize, value: f64) {
+    pub(crate) fn set_lane(&mut self, lane: usize, value: f64) {
         bytemuck::cast_slice_mut::<S::f64s, f64>(std::slice::from_mut(&mut self.lanes))[lane] = value;
     }
 
     /// `self * factor + addend`, fused where the instruction set can.
     #[inline(always)]
-    pub fn times_plus(self, factor: Self, addend: Self) -> Self {
+    pub(crate) fn times_plus(self, factor: Self, addend: Self) -> Self {
         Self { lanes: self.simd.mul_add_e_f64s(self.lanes, factor.lanes, addend.lanes), ..self }
     }
 
     /// `minuend - self * factor`, fused where the instruction set can.
     #[inline(always)]
-    pub fn times_minus(self, factor: Self, minuend: Self) -> Self {
+    pub(crate) fn times_minus(self, factor: Self, minuend: Self) -> Self {
         Self { lanes: self.simd.negate_mul_add_e_f64s(self.lanes, factor.lanes, minuend.lanes), ..self }
     }
 
     /// Where this is greater than `bound`; NaN is not.
     #[inline(always)]
-    pub fn above(self, bound: Self) -> Truth<S> {
+    pub(crate) fn above(self, bound: Self) -> Truth<S> {
         Truth { simd: self.simd, lanes: self.simd.greater_than_f64s(self.lanes, bound.lanes) }
     }
 
     /// Where this is at most `bound`; NaN is not.
     #[inline(always)]
-    pub fn up_to(self, bound: Self) -> Truth<S> {
+    pub(crate) fn up_to(self, bound: Self) -> Truth<S> {
         Truth { simd: self.simd, lanes: self.simd.less_than_or_equal_f64s(self.lanes, bound.lanes) }
     }
 
     /// The greater of two, lane by lane.
     #[inline(always)]
-    pub fn or_greater(self, other: Self) -> Self {
+    pub(crate) fn or_greater(self, other: Self) -> Self {
         Self { lanes: self.simd.max_f64s(self.lanes, other.lanes), ..self }
     }
 
     /// The absolute value.
     #[inline(always)]
-    pub fn magnitude(self) -> Self {
+    pub(crate) fn magnitude(self) -> Self {
         Self { lanes: self.simd.abs_f64s(self.lanes), ..self }
     }
 
     /// Where this is a number and not infinite.
     #[inline(always)]
-    pub fn finite(self) -> Truth<S> {
+    pub(crate) fn finite(self) -> Truth<S> {
         let infinity = Self::all(self.simd, f64::INFINITY);
         Truth {
             simd: self.simd,
@@ -104,7 +104,7 @@ impl<S: Simd> Real<S> {
 
     /// The square root.
     #[inline(always)]
-    pub fn sqrt(self) -> Self {
+    pub(crate) fn sqrt(self) -> Self {
         Self { lanes: self.simd.sqrt_f64s(self.lanes), ..self }
     }
 }
@@ -112,39 +112,39 @@ impl<S: Simd> Real<S> {
 impl<S: Simd> Truth<S> {
     /// `yes` where true, elsewhere `no`.
     #[inline(always)]
-    pub fn select(self, yes: Real<S>, no: Real<S>) -> Real<S> {
+    pub(crate) fn select(self, yes: Real<S>, no: Real<S>) -> Real<S> {
         Real { simd: self.simd, lanes: self.simd.select_f64s(self.lanes, yes.lanes, no.lanes) }
     }
 
     /// As [`Truth::select`], of three coordinates.
     #[inline(always)]
-    pub fn select3(self, yes: [Real<S>; 3], no: [Real<S>; 3]) -> [Real<S>; 3] {
+    pub(crate) fn select3(self, yes: [Real<S>; 3], no: [Real<S>; 3]) -> [Real<S>; 3] {
         [self.select(yes[0], no[0]), self.select(yes[1], no[1]), self.select(yes[2], no[2])]
     }
 
     /// False everywhere.
     #[inline(always)]
-    pub fn nowhere(simd: S) -> Self {
+    pub(crate) fn nowhere(simd: S) -> Self {
         let zero = Real::all(simd, 0.0);
         zero.above(zero)
     }
 
     /// Whether any lane is true.
     #[inline(always)]
-    pub fn any(self) -> bool {
+    pub(crate) fn any(self) -> bool {
         bytemuck::bytes_of(&self.lanes).iter().any(|byte| *byte != 0)
     }
 
     /// Where this holds and `other` does not.
     #[inline(always)]
-    pub fn except(self, other: Self) -> Self {
+    pub(crate) fn except(self, other: Self) -> Self {
         let both = self.simd.and_m64s(self.lanes, other.lanes);
         Self { lanes: self.simd.xor_m64s(self.lanes, both), ..self }
     }
 
     /// The lanes that are true.
     #[inline(always)]
-    pub fn lanes(self) -> impl Iterator<Item = usize> {
+    pub(crate) fn lanes(self) -> impl Iterator<Item = usize> {
         let ones = self.select(Real::all(self.simd, 1.0), Real::all(self.simd, 0.0)).to_lanes();
         (0..S::F64_LANES).filter(move |&lane| ones[lane] > 0.0)
     }
@@ -206,25 +206,25 @@ impl<S: Simd> Div for Real<S> {
 
 /// The same point in every lane.
 #[inline(always)]
-pub fn all3<S: Simd>(simd: S, p: impl Into<[f64; 3]>) -> [Real<S>; 3] {
+pub(crate) fn all3<S: Simd>(simd: S, p: impl Into<[f64; 3]>) -> [Real<S>; 3] {
     let [x, y, z] = p.into();
     [Real::all(simd, x), Real::all(simd, y), Real::all(simd, z)]
 }
 
 /// `a + b`.
 #[inline(always)]
-pub fn plus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+pub(crate) fn plus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 /// `a - b`.
 #[inline(always)]
-pub fn minus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+pub(crate) fn minus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `a . b`.
 #[inline(always)]
-pub fn dot<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> Real<S> {
+pub(crate) fn dot<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> Real<S> {
     a[2].times_plus(b[2], a[1].times_plus(b[1], a[0] * b[0]))
 }

@@ -6,7 +6,7 @@ use pulp::{Simd, WithSimd};
 
 /// Residual scales of the robust steps (px).
 #[derive(Clone, Copy, Debug)]
-pub struct Scales {
+pub(crate) struct Scales {
     /// Scale of the soft weights.
     pub soft: f64,
     /// Residual beyond which a view is an outlier.
@@ -28,7 +28,7 @@ const MAX_PAIRS: usize = 36;
 /// Soft re-weighting first; when too many views remain beyond the cut, the intersections of pairs of views compete with
 /// it on the truncated squared residual, because re-weighting cannot leave the basin of a gross outlier among few views.
 #[inline(always)]
-pub fn locate<S: Simd>(
+pub(crate) fn locate<S: Simd>(
     views: &Views<S>,
     lanes: Truth<S>,
     start: [Real<S>; 3],
@@ -60,7 +60,12 @@ pub fn locate<S: Simd>(
 
 /// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`, in the given lanes.
 #[inline(always)]
-pub fn soften<S: Simd>(views: &Views<S>, lanes: Truth<S>, start: [Real<S>; 3], scale: f64) -> [Real<S>; 3] {
+pub(crate) fn soften<S: Simd>(
+    views: &Views<S>,
+    lanes: Truth<S>,
+    start: [Real<S>; 3],
+    scale: f64,
+) -> [Real<S>; 3] {
     let weights = RayWeights::Soft(views.number(1.0 / (scale * scale)));
     let near = views.number(LANDED) * views.scale;
     let (mut point, mut moving) = (start, lanes);

@@ -10,7 +10,7 @@ use pulp::Simd;
 
 /// A solved Gaussian, before the noise scale is known.
 #[derive(Clone, Copy, Debug)]
-pub struct Solution {
+pub(crate) struct Solution {
     /// Displacement from the previous mean (m).
     pub step: DVec3,
     /// Inverse of the normal matrix with weights of mean 1: the covariance for a noise of 1 px (m^2).
@@ -88,7 +88,7 @@ impl<S: Simd> Fates<S> {
 
 /// Where a Gaussian's solution begins.
 #[derive(Clone, Copy, Debug)]
-pub struct Start {
+pub(crate) struct Start {
     /// The point (m from the previous mean), or why there is none.
     pub point: Result<[f64; 3], EstimateStatus>,
     /// Views that will probably be removed one after another.
@@ -97,12 +97,17 @@ pub struct Start {
 
 impl Start {
     /// No Gaussian.
-    pub const NONE: Self = Self { point: Err(EstimateStatus::TooFewViews), doubtful: 0 };
+    pub(crate) const NONE: Self = Self { point: Err(EstimateStatus::TooFewViews), doubtful: 0 };
 }
 
 /// First guesses for the Gaussians whose observations are `views`: where most of them agree.
 #[inline(always)]
-pub fn begin<S: Simd>(views: &Views<S>, config: &TriangulationConfig, scales: Scales, out: &mut [Start]) {
+pub(crate) fn begin<S: Simd>(
+    views: &Views<S>,
+    config: &TriangulationConfig,
+    scales: Scales,
+    out: &mut [Start],
+) {
     let mut fates = Fates::new(views);
     fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
     let mut point = ray_start(views, config, &mut fates);
@@ -119,7 +124,7 @@ pub fn begin<S: Simd>(views: &Views<S>, config: &TriangulationConfig, scales: Sc
 /// Solves for the Gaussians whose observations are `views`, from their first guesses; views that contradict the others are
 /// removed from it.
 #[inline(always)]
-pub fn finish<S: Simd>(
+pub(crate) fn finish<S: Simd>(
     views: &mut Views<S>,
     starts: &[Start],
     config: &TriangulationConfig,

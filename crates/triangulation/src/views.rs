@@ -1,4 +1,4 @@
-//! The views of several Gaussians side by side: a Gaussian a lane, a view a row.
+//! The views of several Gaussians side by side: one Gaussian per SIMD lane, one view per row.
 
 use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
 use ffgs_core::{Camera, Observations};
@@ -7,7 +7,7 @@ use pulp::Simd;
 
 /// What of a camera every Gaussian needs.
 #[derive(Clone, Copy, Debug)]
-pub struct Lens {
+pub(crate) struct Lens {
     rotation: DMat3,
     center: DVec3,
     focal: DVec2,
@@ -29,7 +29,7 @@ impl From<&Camera> for Lens {
 impl Lens {
     /// Its centre relative to a point (m).
     #[inline(always)]
-    pub fn center_from(&self, origin: [f64; 3]) -> [f64; 3] {
+    pub(crate) fn center_from(&self, origin: [f64; 3]) -> [f64; 3] {
         [self.center.x - origin[0], self.center.y - origin[1], self.center.z - origin[2]]
     }
 }
@@ -37,7 +37,7 @@ impl Lens {
 /// One view of all lanes' Gaussians.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-pub struct Row<S: Simd> {
+pub(crate) struct Row<S: Simd> {
     /// Its camera.
     pub lens: usize,
     /// Target less principal point (px); 0 where unobserved.
@@ -48,9 +48,9 @@ pub struct Row<S: Simd> {
     pub weight: Real<S>,
 }
 
-/// The views of one Gaussian a lane, in coordinates whose origin is its previous mean. A lane knows nothing of the others:
-/// what is summed in it is the same in any company.
-pub struct Views<'a, S: Simd> {
+/// The views of one Gaussian per SIMD lane, relative to its previous mean. Lanes are independent: results do
+/// not depend on batching.
+pub(crate) struct Views<'a, S: Simd> {
     pub simd: S,
     pub lenses: &'a [Lens],
     /// The views that any lane's Gaussian was observed in, in order.
@@ -67,7 +67,7 @@ pub struct Views<'a, S: Simd> {
 
 /// A camera in all lanes.
 #[derive(Clone, Copy)]
-pub struct LensLanes<S: Simd> {
+pub(crate) struct LensLanes<S: Simd> {
     /// Rows of the rotation of `camera_from_world`.
     pub rotation: [[Real<S>; 3]; 3],
     /// Centre relative to the previous mean (m).
@@ -78,7 +78,7 @@ pub struct LensLanes<S: Simd> {
 
 impl<S: Simd> LensLanes<S> {
     #[inline(always)]
-    pub fn new(simd: S, lens: &Lens, previous: [Real<S>; 3]) -> Self {
+    pub(crate) fn new(simd: S, lens: &Lens, previous: [Real<S>; 3]) -> Self {
         let [x, y, z] = [lens.rotation.x_axis, lens.rotation.y_axis, lens.rotation.z_axis];
         Self {
             rotation: [all3(simd, [x.x, y.x, z.x]), all3(simd, [x.y, y.y, z.y]), all3(simd, [x.z, y.z, z.z])],
@@ -89,7 +89,7 @@ impl<S: Simd> LensLanes<S> {
 
     /// World vectors as the camera sees them.
     #[inline(always)]
-    pub fn turn(&self, offset: [Real<S>; 3]) -> [Real<S>; 3] {
+    pub(crate) fn turn(&self, offset: [Real<S>; 3]) -> [Real<S>; 3] {
         [dot(self.rotation[0], offset), dot(self.rotation[1], offset), dot(self.rotation[2], offset)]
     }
 }
@@ -97,7 +97,7 @@ impl<S: Simd> LensLanes<S> {
 impl<'a, S: Simd> Views<'a, S> {
     /// No views of no Gaussians.
     #[inline(always)]
-    pub fn new(simd: S, lenses: &'a [Lens]) -> Self {
+    pub(crate) fn new(simd: S, lenses: &'a [Lens]) -> Self {
         let zero = Real::all(simd, 0.0);
         Self {
             simd,
@@ -111,14 +111,20 @@ impl<'a, S: Simd> Views<'a, S> {
     }
 
     #[inline(always)]
-    pub fn number(&self, value: f64) -> Real<S> {
+    pub(crate) fn number(&self, value: f64) -> Real<S> {
         Real::all(self.simd, value)
     }
 
     /// Fills with the views that observed the given Gaussians, one per lane (the rest of the lanes none), weights scaled to
     /// mean 1.
     #[inline(always)]
-    pub fn gather(&mut self, previous: &[DVec3], observations: &Observations, gaussians: &[u32], rays: bool) {
+    pub(crate) fn gather(
+        &mut self,
+        previous: &[DVec3],
+        observations: &Observations,
+        gaussians: &[u32],
+        rays: bool,
+    ) {
         let (zero, one) = (self.number(0.0), self.number(1.0));
         // Lanes without a Gaussian repeat the first, with no views.
         let (mut places, mut used) = ([gaussians[0] as usize; MAX_LANES], [0.0; MAX_LANES]);
@@ -204,7 +210,7 @@ impl<'a, S: Simd> Views<'a, S> {
 
     /// Mean weight of the views left.
     #[inline(always)]
-    pub fn mean_weight(&self) -> Real<S> {
+    pub(crate) fn mean_weight(&self) -> Real<S> {
         let mut sum = self.number(0.0);
         for row in &self.rows {
             sum = sum + row.weight;
@@ -214,7 +220,7 @@ impl<'a, S: Simd> Views<'a, S> {
 
     /// Removes a row, of each lane its own.
     #[inline(always)]
-    pub fn remove(&mut self, lanes: Truth<S>, rows: Real<S>) {
+    pub(crate) fn remove(&mut self, lanes: Truth<S>, rows: Real<S>) {
         for lane in lanes.lanes() {
             self.rows[rows.lane(lane) as usize].weight.set_lane(lane, 0.0);
         }

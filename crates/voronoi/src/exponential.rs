@@ -1,7 +1,7 @@
 /// `exp(-x)` for `x >= 0`, relative error below 1e-11; 0 beyond the normal numbers. No call, so that loops over it become
 /// vectors.
 #[inline(always)]
-pub fn exp_negative(x: f64) -> f64 {
+pub(crate) fn exp_negative(x: f64) -> f64 {
     /// Adding this rounds to a whole number, which is then in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     const INVERSE_FACTORIALS: [f64; 10] = [

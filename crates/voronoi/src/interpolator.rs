@@ -67,6 +67,9 @@ impl From<&TrackSet> for IntegerCentredTracks {
 
 impl IntegerCentredTracks {
     /// Checks that the columns have one length and hold finite values.
+    ///
+    /// # Errors
+    /// When columns differ in length or a value is not finite.
     pub fn validate(&self) -> Result<(), MotionError> {
         let (src, tgt, visibility) = (self.src.len(), self.tgt.len(), self.visibility.len());
         if src != tgt || src != visibility {

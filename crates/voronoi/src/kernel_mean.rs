@@ -5,12 +5,12 @@ use crate::nearest::{Candidate, Keys, LANES, SLOTS};
 use pulp::{Simd, WithSimd};
 
 /// What is averaged, the number 1 last: its sum is that of the weights.
-pub type Values = [f64; 4];
+pub(crate) type Values = [f64; 4];
 
 /// Means over the K nearest of the candidates, weighted by `exp(-(d^2 - d_1^2) half_precision)`, and the confidence
 /// `exp(-d_1^2 half_precision)`. Weights are relative to the nearest, whose own weight is then 1: the sum can neither
 /// underflow nor be 0 / 0 however far the tracks are.
-pub struct KernelMean<'a> {
+pub(crate) struct KernelMean<'a> {
     /// Places of the pixels (normalised), whole vectors of them.
     pub x: &'a [f64],
     pub y: &'a [f64],
@@ -27,7 +27,7 @@ pub struct KernelMean<'a> {
 
 /// What [`KernelMean`] finds of a pixel.
 #[derive(Clone, Copy, Default)]
-pub struct Mean {
+pub(crate) struct Mean {
     pub values: [f64; 3],
     pub confidence: f64,
 }

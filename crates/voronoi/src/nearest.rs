@@ -1,15 +1,15 @@
-//! The nearest tracks of several places side by side: a place a lane.
+//! The nearest tracks of several places side by side: one place per SIMD lane.
 
 use pulp::{Simd, WithSimd};
 
 /// Places at once at most: the lanes of the widest instruction set.
-pub const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 /// Neighbours found in one pass: they and what they are compared with stay in registers.
-pub const SLOTS: usize = 8;
+pub(crate) const SLOTS: usize = 8;
 
 /// A track that may be near.
 #[derive(Clone, Copy)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Where it begins (normalised).
     pub point: [f64; 2],
     pub track: u32,
@@ -19,30 +19,30 @@ pub struct Candidate {
 /// distances order as the tracks do, and no two are equal. Fewer than 2^32 tracks leave 20 bits of a distance, 4096 leave
 /// 40.
 #[derive(Clone, Copy)]
-pub struct Keys {
+pub(crate) struct Keys {
     track: u64,
 }
 
 impl Keys {
     /// For tracks 0 to `tracks - 1`.
-    pub fn new(tracks: usize) -> Self {
+    pub(crate) fn new(tracks: usize) -> Self {
         Self { track: (tracks as u64).next_power_of_two() - 1 }
     }
 
     #[inline(always)]
-    pub fn squared_distances<S: Simd>(self, simd: S, keys: S::f64s) -> S::f64s {
+    pub(crate) fn squared_distances<S: Simd>(self, simd: S, keys: S::f64s) -> S::f64s {
         simd.and_f64s(keys, simd.splat_f64s(f64::from_bits(!self.track)))
     }
 
     #[inline(always)]
-    pub fn track(self, key: f64) -> usize {
+    pub(crate) fn track(self, key: f64) -> usize {
         (key.to_bits() & self.track) as usize
     }
 
     /// The keys of the nearest [`SLOTS`] candidates in each lane that come after the key `after`, ascending; infinity
     /// where there are no more.
     #[inline(always)]
-    pub fn nearest<S: Simd>(
+    pub(crate) fn nearest<S: Simd>(
         self,
         simd: S,
         [x, y]: [S::f64s; 2],
@@ -69,7 +69,7 @@ impl Keys {
 }
 
 /// The squared distances of the `k`-th nearest of the candidates (at least `k`) from some places.
-pub struct KthNearest<'a> {
+pub(crate) struct KthNearest<'a> {
     pub x: &'a [f64; LANES],
     pub y: &'a [f64; LANES],
     pub candidates: &'a [Candidate],

@@ -4,29 +4,29 @@ use kiddo::ImmutableKdTree;
 
 /// Maps integer-centred pixels to the unit square; a side of one pixel maps to 0.
 #[derive(Clone, Copy)]
-pub struct Normalisation {
+pub(crate) struct Normalisation {
     scale: [f64; 2],
 }
 
 impl Normalisation {
-    pub fn new(size: ImageSize) -> Self {
+    pub(crate) fn new(size: ImageSize) -> Self {
         let side = |n: usize| 1.0 / n.saturating_sub(1).max(1) as f64;
         Self { scale: [side(size.width), side(size.height)] }
     }
 
-    pub fn apply(self, pixel: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn apply(self, pixel: [f64; 2]) -> [f64; 2] {
         [pixel[0] * self.scale[0], pixel[1] * self.scale[1]]
     }
 }
 
 /// Tracks in normalised coordinates with what is interpolated: displacement x, displacement y (px), visibility.
-pub struct NormalisedTracks {
+pub(crate) struct NormalisedTracks {
     pub points: Vec<[f64; 2]>,
     pub values: Vec<[f64; 3]>,
 }
 
 impl NormalisedTracks {
-    pub fn new(tracks: &IntegerCentredTracks, size: ImageSize) -> Result<Self, MotionError> {
+    pub(crate) fn new(tracks: &IntegerCentredTracks, size: ImageSize) -> Result<Self, MotionError> {
         tracks.validate()?;
         let normalisation = Normalisation::new(size);
         let points = tracks.src.iter().map(|&p| normalisation.apply(p)).collect();
@@ -36,13 +36,13 @@ impl NormalisedTracks {
         Ok(Self { points, values })
     }
 
-    pub fn tree(&self) -> Result<ImmutableKdTree<f64, 2>, MotionError> {
+    pub(crate) fn tree(&self) -> Result<ImmutableKdTree<f64, 2>, MotionError> {
         ImmutableKdTree::new_from_slice(&self.points).map_err(|e| MotionError::Index(format!("{e:?}")))
     }
 }
 
 /// An unknown field, if `region` has its size.
-pub fn prepare(size: ImageSize, region: Option<&Mask>) -> Result<DenseMotion, MotionError> {
+pub(crate) fn prepare(size: ImageSize, region: Option<&Mask>) -> Result<DenseMotion, MotionError> {
     match region {
         Some(mask) if mask.size() != size => Err(MotionError::Size { expected: size, found: mask.size() }),
         _ => Ok(DenseMotion::unknown(size)),
@@ -50,7 +50,7 @@ pub fn prepare(size: ImageSize, region: Option<&Mask>) -> Result<DenseMotion, Mo
 }
 
 /// Refuses a kernel scale whose square could be zero or infinite.
-pub fn check_sigma(sigma: f64) -> Result<(), MotionError> {
+pub(crate) fn check_sigma(sigma: f64) -> Result<(), MotionError> {
     let square = sigma * sigma;
     if !(sigma > 0.0 && square.is_normal()) {
         return Err(MotionError::Sigma(sigma));
@@ -60,12 +60,12 @@ pub fn check_sigma(sigma: f64) -> Result<(), MotionError> {
 
 /// Whether any pixel of a part of a mask is set. Without an early exit, so that whole vectors are looked at.
 #[inline(always)]
-pub fn any(mask: &[u8]) -> bool {
+pub(crate) fn any(mask: &[u8]) -> bool {
     mask.iter().fold(0, |all, m| all | m) != 0
 }
 
 /// Rows of a field that one task fills.
-pub struct RowBand<'a> {
+pub(crate) struct RowBand<'a> {
     /// Row index of the band's first row.
     pub first_row: usize,
     pub width: usize,
@@ -75,12 +75,12 @@ pub struct RowBand<'a> {
 }
 
 impl RowBand<'_> {
-    pub fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         self.flow.len() / self.width
     }
 
     /// Writes the pixel at (column, row within the band).
-    pub fn set(&mut self, column: usize, row: usize, value: [f64; 3], confidence: f64) {
+    pub(crate) fn set(&mut self, column: usize, row: usize, value: [f64; 3], confidence: f64) {
         let i = row * self.width + column;
         self.flow[i] = [value[0] as f32, value[1] as f32];
         self.visibility[i] = value[2] as f32;
@@ -89,7 +89,7 @@ impl RowBand<'_> {
 }
 
 /// Splits a field into bands of `rows` rows.
-pub fn bands(out: &mut DenseMotion, rows: usize) -> Vec<RowBand<'_>> {
+pub(crate) fn bands(out: &mut DenseMotion, rows: usize) -> Vec<RowBand<'_>> {
     let width = out.size.width;
     let n = width * rows;
     let columns = out.visibility.chunks_mut(n).zip(out.confidence.chunks_mut(n));

@@ -10,13 +10,13 @@ use std::path::Path;
 
 /// Measured rates on one thread and on two: multiply-adds and bytes a second.
 #[derive(Debug, Default)]
-pub struct Rates {
+pub(crate) struct Rates {
     operations: [Option<f64>; 2],
     bytes: [Option<f64>; 2],
 }
 
 impl Rates {
-    pub fn of(cases: &[Case]) -> Self {
+    pub(crate) fn of(cases: &[Case]) -> Self {
         let rate = |name: &str| cases.iter().find(|c| c.name == name).map(|c| c.work.amount() / c.seconds);
         let both = |what: &str| [rate(&format!("machine/{what}/1t")), rate(&format!("machine/{what}/2t"))];
         Self { operations: both("fma"), bytes: both("copy") }
@@ -30,7 +30,7 @@ impl Rates {
 
 /// What a rendered case consists of; the benchmark counts it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Counts {
+pub(crate) struct Counts {
     pub gaussians: f64,
     /// SH coefficients of each, all channels.
     pub colours: f64,
@@ -44,7 +44,7 @@ pub struct Counts {
 }
 
 /// Counts by scene (size/Gaussians), as the benchmark leaves them: a line `scene,gaussians,colours,visible,…` each.
-pub fn read_counts(file: &Path) -> BTreeMap<String, Counts> {
+pub(crate) fn read_counts(file: &Path) -> BTreeMap<String, Counts> {
     let text = std::fs::read_to_string(file).unwrap_or_default();
     text.lines().filter_map(parse).collect()
 }
@@ -115,7 +115,7 @@ impl Counts {
 }
 
 /// Seconds; `None` where a rate is missing.
-pub fn seconds(case: &Case, rates: &Rates, counts: &BTreeMap<String, Counts>) -> Option<f64> {
+pub(crate) fn seconds(case: &Case, rates: &Rates, counts: &BTreeMap<String, Counts>) -> Option<f64> {
     let threads = usize::from(!case.name.ends_with("/1t"));
     let sum = |passes: &[Pass]| passes.iter().map(|&p| rates.seconds(p, threads)).sum();
     let mut parts = case.name.splitn(3, '/');

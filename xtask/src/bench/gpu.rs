@@ -12,7 +12,7 @@ use std::str::FromStr;
 
 /// The cases on a GPU.
 #[derive(Args, Clone, Debug, Default)]
-pub struct Cases {
+pub(crate) struct Cases {
     /// With --device gpu: image sizes [default: 320x180,1280x720,1920x1080].
     #[arg(long, value_name = "WxH,WxH")]
     sizes: Option<String>,
@@ -26,7 +26,7 @@ pub struct Cases {
 
 /// What to time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Device {
+pub(crate) enum Device {
     #[default]
     Cpu,
     /// This adapter, or the best one.
@@ -50,7 +50,13 @@ impl FromStr for Device {
 const TABLE: &str = "docs/bench/gpu.csv";
 
 /// Times the cases, prints the table and saves it with what says where it is from.
-pub fn run(root: &Path, adapter: Option<usize>, quick: bool, cases: &Cases, origin: &str) -> Result<()> {
+pub(crate) fn run(
+    root: &Path,
+    adapter: Option<usize>,
+    quick: bool,
+    cases: &Cases,
+    origin: &str,
+) -> Result<()> {
     let raw = measure(root, adapter, quick, cases)?;
     let rows = parse(&raw)?;
     println!("\n{}", table(&rows));

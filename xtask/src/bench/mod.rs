@@ -20,7 +20,7 @@ use std::time::SystemTime;
 
 /// What to time.
 #[derive(Args, Clone, Debug, Default)]
-pub struct Options {
+pub(crate) struct Options {
     /// A regular expression; only cases whose names match. The table is printed and not saved then.
     filter: Option<String>,
     /// A short pass: fewer and shorter samples.
@@ -50,7 +50,7 @@ const SCALING: &str = "docs/bench/scaling.csv";
 const COUNTS: &str = "counts.csv";
 
 /// Runs the benchmarks, prints the table and saves it after a whole pass.
-pub fn run(root: &Path, options: &Options) -> Result<()> {
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     if let gpu::Device::Gpu(adapter) = options.device {
         let origin = format!("host: {}; commit {}", machine(), commit(root));
         return gpu::run(root, adapter, options.quick, &options.cases, &origin);

@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 /// Work of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Work {
+pub(crate) enum Work {
     /// Multiply-adds, samples, contributions: what the case says.
     Elements(f64),
     /// Bytes that must move.
@@ -16,13 +16,13 @@ pub enum Work {
 }
 
 impl Work {
-    pub fn amount(self) -> f64 {
+    pub(crate) fn amount(self) -> f64 {
         match self {
             Self::Elements(n) | Self::Bytes(n) => n,
         }
     }
 
-    pub fn unit(self) -> &'static str {
+    pub(crate) fn unit(self) -> &'static str {
         match self {
             Self::Elements(_) => "elements",
             Self::Bytes(_) => "bytes",
@@ -39,7 +39,7 @@ impl fmt::Display for Work {
 
 /// One measured case.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Case {
+pub(crate) struct Case {
     pub name: String,
     /// Median of an iteration.
     pub seconds: f64,
@@ -47,7 +47,7 @@ pub struct Case {
 }
 
 /// Cases that were measured since `start`, by name. A case without a stated work is left out.
-pub fn read(folder: &Path, start: SystemTime) -> Result<Vec<Case>> {
+pub(crate) fn read(folder: &Path, start: SystemTime) -> Result<Vec<Case>> {
     let mut cases = Vec::new();
     collect(folder, start, &mut cases)?;
     cases.sort_by(|a, b| a.name.cmp(&b.name));

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 type Imports<'a> = BTreeMap<&'a str, BTreeSet<&'a str>>;
 
 /// Finds circles in every crate. Tests may import what they test.
-pub fn check(sources: &[Source]) -> Vec<Finding> {
+pub(crate) fn check(sources: &[Source]) -> Vec<Finding> {
     let mut crates = BTreeMap::<&str, Vec<&Source>>::new();
     for source in sources.iter().filter(|source| source.is("rs")) {
         if let Some((name, _)) = source.path.split_once("/src/") {

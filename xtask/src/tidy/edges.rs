@@ -15,7 +15,7 @@ const PREFIX: &str = "ffgs-";
 type Edges = BTreeMap<String, BTreeSet<String>>;
 
 /// Compares the table with `cargo metadata`; a mismatch in either direction is a finding.
-pub fn check(root: &Path, sources: &[Source]) -> Result<Vec<Finding>> {
+pub(crate) fn check(root: &Path, sources: &[Source]) -> Result<Vec<Finding>> {
     let Some(document) = sources.iter().find(|s| s.path == DOCUMENT) else {
         return Ok(vec![format!("{DOCUMENT}: missing")]);
     };
@@ -49,7 +49,7 @@ fn short(name: &Value) -> Option<String> {
     name.as_str()?.strip_prefix(PREFIX).map(str::to_owned)
 }
 
-/// Reads the fenced block: one `crate -> crate, crate` a line.
+/// Reads the fenced block: one `crate -> crate, crate` per line.
 fn parse_table(document: &str) -> Result<Edges, Finding> {
     let mut lines = document.lines().skip_while(|line| line.trim() != FENCE);
     if lines.next().is_none() {

@@ -8,7 +8,7 @@ const TABLE: &str = "docs/bench/gpu.csv";
 const NO_BENCH: &str = "none";
 
 /// Checks the heads of `crates/*/shaders/*.wgsl`; files of `shaders/common` are pieces without an entry point.
-pub fn check(sources: &[Source]) -> Vec<Finding> {
+pub(crate) fn check(sources: &[Source]) -> Vec<Finding> {
     let kernels = sources.iter().filter(|s| s.is("wgsl") && s.text.contains("@compute"));
     kernels.flat_map(|kernel| check_head(kernel, sources)).collect()
 }

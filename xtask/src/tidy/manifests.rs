@@ -7,7 +7,7 @@ const NUMPY_OWNER: &str = "crates/arrays/Cargo.toml";
 const NUMPY_PARSER: &str = "npyz";
 
 /// Every crate says what it is and inherits the workspace's lints; only `arrays` parses numpy files.
-pub fn check(source: &Source) -> Vec<Finding> {
+pub(crate) fn check(source: &Source) -> Vec<Finding> {
     let Source { path, text } = source;
     let ours = path.starts_with("crates/") || path.starts_with("xtask/");
     if !ours || !path.ends_with("/Cargo.toml") {

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use std::path::Path;
 
 /// One text file of the repository.
-pub struct Source {
+pub(crate) struct Source {
     /// Path relative to the root.
     path: String,
     text: String,
@@ -33,7 +33,7 @@ const TEXT: [&str; 13] =
 const BARE_TEXT: [&str; 3] = [".ci/run", ".gitignore", "LICENSE"];
 
 /// Runs every rule; an error lists all findings.
-pub fn run(root: &Path) -> Result<()> {
+pub(crate) fn run(root: &Path) -> Result<()> {
     let sources = read(root)?;
     let mut findings: Vec<Finding> = sources.iter().flat_map(sources::check).collect();
     findings.extend(sources.iter().flat_map(manifests::check));

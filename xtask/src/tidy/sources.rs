@@ -22,7 +22,7 @@ const MACHINE_WORDS: [&str; 5] = [
 ];
 
 /// Applies every rule to one file.
-pub fn check(source: &Source) -> Vec<Finding> {
+pub(crate) fn check(source: &Source) -> Vec<Finding> {
     let rules: [fn(&Source) -> Vec<Finding>; 6] =
         [long_file, empty_names, leftovers, ignored_tests, machine_words, trailing_whitespace];
     rules.iter().flat_map(|rule| rule(source)).collect()

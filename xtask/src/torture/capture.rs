@@ -7,13 +7,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Frames kept.
-pub const FRAMES: usize = 3;
+pub(crate) const FRAMES: usize = 3;
 /// Camera lists, and which of their cameras are kept.
 const METAS: [(&str, &[usize]); 3] =
     [("train_meta.json", &[0, 4, 8]), ("test_meta.json", &[0]), ("init_meta.json", &[0])];
 
 /// Writes the cut into `to`, which must not exist.
-pub fn cut(root: &Path, to: &Path) -> Result<()> {
+pub(crate) fn cut(root: &Path, to: &Path) -> Result<()> {
     let sample = root.join(SAMPLE);
     let mut cameras = Vec::new();
     for (file, kept) in METAS {
@@ -48,7 +48,7 @@ fn copy_tracks(sample: &Path, to: &Path, cameras: &[String]) -> Result<()> {
 }
 
 /// Every file below a folder, in order.
-pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))? {
         let path = entry?.path();
@@ -63,7 +63,7 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Copies a folder with all that it holds.
-pub fn copy_folder(from: &Path, to: &Path) -> Result<()> {
+pub(crate) fn copy_folder(from: &Path, to: &Path) -> Result<()> {
     fs::create_dir_all(to)?;
     files(from)?.iter().try_for_each(|file| copy(file, &to.join(file.strip_prefix(from)?)))
 }

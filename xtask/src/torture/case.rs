@@ -14,11 +14,12 @@ use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
 /// As little training as shows a difference.
-pub const FEW: [&str; 7] = ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
+pub(crate) const FEW: [&str; 7] =
+    ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
 /// A case that takes more processor time hangs (s).
 const CPU_SECONDS: u64 = 60;
 /// A case that takes more time waits for something that never comes (s); others may be using the machine.
-pub const WALL_SECONDS: u64 = 900;
+pub(crate) const WALL_SECONDS: u64 = 900;
 /// No capture of this size needs more address space (KiB).
 const ADDRESS_KIB: u64 = 6 << 20;
 /// Runs have from one to so many threads.
@@ -27,7 +28,7 @@ const MOST_THREADS: usize = 3;
 const SIGXCPU: i32 = 24;
 
 /// What all cases share: the program, a small sound capture and a run of it that nothing disturbed.
-pub struct Laboratory {
+pub(crate) struct Laboratory {
     /// The repository.
     pub root: PathBuf,
     /// Calls to the system of the undisturbed run; none where the library is not to be had.
@@ -41,7 +42,7 @@ pub struct Laboratory {
 
 impl Laboratory {
     /// Cuts the capture and makes the run.
-    pub fn new(root: &Path, program: PathBuf) -> Result<Self> {
+    pub(crate) fn new(root: &Path, program: PathBuf) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let interposer = Interposer::build(folder.path());
         let (root, calls) = (root.to_owned(), Told::new());
@@ -57,7 +58,7 @@ impl Laboratory {
     }
 
     /// Why calls to the system cannot be made to fail here; `None` where they can.
-    pub fn no_interposer(&self) -> Option<String> {
+    pub(crate) fn no_interposer(&self) -> Option<String> {
         self.interposer.as_ref().err().map(|reason| format!("{reason:#}"))
     }
 
@@ -67,7 +68,7 @@ impl Laboratory {
     }
 
     /// A folder that cases share, made by `make` when it is first asked for.
-    pub fn shared(&self, name: &str, make: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
+    pub(crate) fn shared(&self, name: &str, make: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
         let path = self.folder.path().join(name);
         if !path.exists() {
             make(&path)?;
@@ -76,18 +77,18 @@ impl Laboratory {
     }
 
     /// The capture; cases that change it copy it.
-    pub fn capture(&self) -> PathBuf {
+    pub(crate) fn capture(&self) -> PathBuf {
         self.folder.path().join("capture")
     }
 
     /// The undisturbed run.
-    pub fn run(&self) -> PathBuf {
+    pub(crate) fn run(&self) -> PathBuf {
         self.folder.path().join("run")
     }
 }
 
 /// `run CAPTURE --out OUT`, little training, and more options.
-pub fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+pub(crate) fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String> {
     let paths = [capture, out].map(|path| path.display().to_string());
     let [capture, out] = paths;
     let options = FEW.iter().chain(more).map(|word| (*word).to_owned());
@@ -95,7 +96,7 @@ pub fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String> {
 }
 
 /// One case.
-pub struct Case<'a> {
+pub(crate) struct Case<'a> {
     /// What all cases share.
     pub laboratory: &'a Laboratory,
     /// Seed of the round.
@@ -111,7 +112,7 @@ pub struct Case<'a> {
 
 impl<'a> Case<'a> {
     /// The case of a kind and number: its random numbers follow from these and the seed alone.
-    pub fn new(laboratory: &'a Laboratory, seed: u64, kind: &str, number: usize) -> Result<Self> {
+    pub(crate) fn new(laboratory: &'a Laboratory, seed: u64, kind: &str, number: usize) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let start = kind.bytes().fold(seed, |sum, byte| sum.wrapping_mul(257).wrapping_add(byte.into()));
         let random = Random(start ^ (number as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
@@ -119,50 +120,50 @@ impl<'a> Case<'a> {
     }
 
     /// Most memory that the program has held in this case (KiB).
-    pub fn peak(&self) -> u64 {
+    pub(crate) fn peak(&self) -> u64 {
         self.peak.get()
     }
 
     /// A random number below `count`, which is not 0.
-    pub fn below(&mut self, count: usize) -> usize {
+    pub(crate) fn below(&mut self, count: usize) -> usize {
         self.random.below(count)
     }
 
     /// One of them.
-    pub fn one_of<T: Clone>(&mut self, items: &[T]) -> T {
+    pub(crate) fn one_of<T: Clone>(&mut self, items: &[T]) -> T {
         items[self.below(items.len())].clone()
     }
 
     /// A path in the case's folder.
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
     /// A copy of the capture that may be damaged.
-    pub fn copied_capture(&self) -> Result<PathBuf> {
+    pub(crate) fn copied_capture(&self) -> Result<PathBuf> {
         let to = self.path("capture");
         copy_folder(&self.laboratory.capture(), &to).map(|()| to)
     }
 
     /// A copy of the undisturbed run that may be damaged.
-    pub fn copied_run(&self) -> Result<PathBuf> {
+    pub(crate) fn copied_run(&self) -> Result<PathBuf> {
         let to = self.path("run");
         copy_folder(&self.laboratory.run(), &to).map(|()| to)
     }
 
     /// Keeps what the case ran on.
-    pub fn keep(self, at: &Path) -> Result<()> {
+    pub(crate) fn keep(self, at: &Path) -> Result<()> {
         let _ = fs::remove_dir_all(at);
         copy_folder(self.folder.path(), at)
     }
 
     /// The program under shell limits (`ulimit ...;`) and that of processor time, ready to start.
-    pub fn limited(&mut self, limits: &str, words: &[String]) -> Command {
+    pub(crate) fn limited(&mut self, limits: &str, words: &[String]) -> Command {
         self.started(&format!("ulimit -t {CPU_SECONDS}; {limits}"), words)
     }
 
     /// The program under shell limits, ready to start.
-    pub fn started(&mut self, limits: &str, words: &[String]) -> Command {
+    pub(crate) fn started(&mut self, limits: &str, words: &[String]) -> Command {
         let mut command = Command::new("sh");
         let script = format!("{limits} export LD_PRELOAD=\"$TORTURE_LIBRARY\"; exec \"$0\" \"$@\"");
         command.args(["-c", &script]).arg(&self.laboratory.program).args(words);
@@ -176,7 +177,7 @@ impl<'a> Case<'a> {
 
     /// Runs the program to its end under the usual limits. A failure of it is an error: a panic, a signal, no end,
     /// an error without a word, a control character on the terminal.
-    pub fn ffgs(&mut self, words: &[String]) -> Result<Output> {
+    pub(crate) fn ffgs(&mut self, words: &[String]) -> Result<Output> {
         let limits = format!("ulimit -v {ADDRESS_KIB};");
         let inner = self.limited(&limits, words);
         let mut command = Command::new("timeout");
@@ -194,18 +195,18 @@ impl<'a> Case<'a> {
 }
 
 /// Both streams as text.
-pub fn said(output: &Output) -> String {
+pub(crate) fn said(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
 /// Whether a message names a file of the case or of what all cases share.
-pub fn names_a_file(case: &Case, text: &str) -> bool {
+pub(crate) fn names_a_file(case: &Case, text: &str) -> bool {
     let within = |folder: &Path| text.contains(&format!("{}/", folder.display()));
     within(case.folder.path()) || within(case.laboratory.folder.path())
 }
 
 /// Refuses an end that no input may cause.
-pub fn judged(output: Output) -> Result<Output> {
+pub(crate) fn judged(output: Output) -> Result<Output> {
     let text = said(&output);
     ensure!(!text.contains("panicked at"), "a panic: {text}");
     ensure!(!text.contains('\u{1b}'), "a terminal escape: {text:?}");
@@ -220,7 +221,7 @@ pub fn judged(output: Output) -> Result<Output> {
 
 /// The files of a run that must be the same whatever happened on the way: all of them where the clock stood still, else
 /// everything but times, memory and the report's copy of them.
-pub fn results(run: &Path, no_time: bool) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+pub(crate) fn results(run: &Path, no_time: bool) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut results = BTreeMap::new();
     for file in files(run)? {
         let name = file.strip_prefix(run)?.to_owned();
@@ -263,12 +264,12 @@ fn forget_times(value: &mut Value) {
 }
 
 /// Refuses a run that differs from the undisturbed one.
-pub fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
+pub(crate) fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
     equal_runs(&laboratory.run(), run, laboratory.no_interposer().is_none()).map(|_| ())
 }
 
 /// Refuses a run that differs from another, its times too when none passed; how many files were compared.
-pub fn equal_runs(undisturbed: &Path, run: &Path, no_time: bool) -> Result<usize> {
+pub(crate) fn equal_runs(undisturbed: &Path, run: &Path, no_time: bool) -> Result<usize> {
     let (expected, found) = (results(undisturbed, no_time)?, results(run, no_time)?);
     for (name, bytes) in &expected {
         let other = found.get(name).with_context(|| format!("{} is missing", name.display()))?;

@@ -25,7 +25,7 @@ const DISC_POINTS: usize = 10;
 const WALL_POINTS: usize = 16;
 
 /// Writes the capture into `to`.
-pub fn write(to: &Path, frames: usize) -> Result<()> {
+pub(crate) fn write(to: &Path, frames: usize) -> Result<()> {
     let cameras: Vec<usize> = (0..CAMERAS.len()).collect();
     let (test, train) = cameras.split_last().context("no camera")?;
     put(&to.join("train_meta.json"), list(train, frames).to_string().as_bytes())?;

@@ -18,7 +18,7 @@ const FORMATS: [&str; 6] = ["stream", "ply-seq", "compressed-ply-seq", "spz", "s
 const PATIENCE: u64 = 60;
 
 /// A damaged run as files for players.
-pub fn damaged_export(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_export(case: &mut Case) -> Result<()> {
     let run = damaged_file_of_run(case)?;
     let format = case.one_of(&FORMATS);
     let path = run.display().to_string();
@@ -33,7 +33,7 @@ pub fn damaged_export(case: &mut Case) -> Result<()> {
 }
 
 /// A damaged stream: gone on with and decoded, or served to a visitor who asks for what lies outside.
-pub fn damaged_stream(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_stream(case: &mut Case) -> Result<()> {
     let (run, stream) = (case.laboratory.run(), case.path("out"));
     copy_folder(&sound_stream(case, &run)?, &stream)?;
     damage_stream(case, &stream)?;

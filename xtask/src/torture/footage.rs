@@ -16,7 +16,7 @@ const KINDS: [&str; 4] = ["colmap", "nerfstudio", "dynamic3dgs", "videos"];
 const VIDEO_SIZE: &str = "64x48";
 
 /// One file of the footage is damaged or no file at all; its pictures are taken, and every fourth time everything is made.
-pub fn damaged_footage(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_footage(case: &mut Case) -> Result<()> {
     let kind = case.one_of(&KINDS);
     let Some(sound) = footage(case, kind)? else { return Ok(()) };
     let footage = case.path("footage");

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use std::process::Output;
 
 /// Of one case a round: rounds with successive seeds go through all calls in turn.
-pub const CALLS_A_ROUND: usize = 4;
+pub(crate) const CALLS_A_ROUND: usize = 4;
 
 /// Errors of the system, and at which calls they are met.
 const FAULTS: [(&str, i32, &str, bool); 7] = [
@@ -21,7 +21,7 @@ const FAULTS: [(&str, i32, &str, bool); 7] = [
 ];
 
 /// Killed when it is about to rename or sync, each of these calls in turn; resumed to equal bytes.
-pub fn killed_at_calls(case: &mut Case) -> Result<()> {
+pub(crate) fn killed_at_calls(case: &mut Case) -> Result<()> {
     let calls = &case.laboratory.calls;
     let of = |name: &str| calls.get(name).copied().with_context(|| format!("no {name} was counted"));
     let (renames, syncs) = (of("rename")?, of("sync")?);
@@ -42,7 +42,7 @@ pub fn killed_at_calls(case: &mut Case) -> Result<()> {
 }
 
 /// A call fails as on a full or broken disk: the run goes on, or ends with an error that names a file; then it is resumed.
-pub fn failing_calls(case: &mut Case) -> Result<()> {
+pub(crate) fn failing_calls(case: &mut Case) -> Result<()> {
     let (call, errno, words, lasting) = case.one_of(&FAULTS);
     let count = case.laboratory.calls.get(call).copied().with_context(|| format!("no {call} was counted"))?;
     let at = 1 + case.below(count as usize) as u64;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 /// A file of the capture damaged: checked, and every third time run.
-pub fn damaged_capture(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_capture(case: &mut Case) -> Result<()> {
     let capture = case.copied_capture()?;
     // Camera lists and the list of trackers are few among many images and are damaged as often.
     let all = files(&capture)?;
@@ -27,7 +27,7 @@ fn is_json(file: &Path) -> bool {
 }
 
 /// Damages a file by its kind.
-pub fn change(case: &mut Case, file: &Path) -> Result<()> {
+pub(crate) fn change(case: &mut Case, file: &Path) -> Result<()> {
     let mut bytes = fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     damage_file(case, is_json(file), &mut bytes);
     Ok(fs::write(file, bytes)?)
@@ -64,7 +64,7 @@ fn finite_metrics(run: &Output, out: &Path) -> Result<()> {
 }
 
 /// Nothing is written beside the case's own folders.
-pub fn stays_inside(case: &Case) -> Result<()> {
+pub(crate) fn stays_inside(case: &Case) -> Result<()> {
     let known = ["capture", "footage", "out", "run", "settings.toml", "in.npz", "out.npz"];
     for entry in fs::read_dir(case.path("."))?.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -74,7 +74,7 @@ pub fn stays_inside(case: &Case) -> Result<()> {
 }
 
 /// Cameras and trackers with names that leave folders, command terminals or end scripts.
-pub fn hostile_names(case: &mut Case) -> Result<()> {
+pub(crate) fn hostile_names(case: &mut Case) -> Result<()> {
     let capture = case.copied_capture()?;
     let names = [
         "../../escape",
@@ -111,7 +111,7 @@ pub fn hostile_names(case: &mut Case) -> Result<()> {
 }
 
 /// Pipes, devices, links in circles and folders where files should be: refused, never waited for.
-pub fn no_files(case: &mut Case) -> Result<()> {
+pub(crate) fn no_files(case: &mut Case) -> Result<()> {
     let capture = case.copied_capture()?;
     let pool = files(&capture)?;
     let file = case.one_of(&pool);
@@ -126,7 +126,7 @@ pub fn no_files(case: &mut Case) -> Result<()> {
 }
 
 /// Puts a pipe, a device, a link in a circle or a folder in the place of a file.
-pub fn replace_by_no_file(case: &mut Case, file: &Path) -> Result<()> {
+pub(crate) fn replace_by_no_file(case: &mut Case, file: &Path) -> Result<()> {
     fs::remove_file(file)?;
     match case.below(4) {
         0 => {
@@ -140,7 +140,7 @@ pub fn replace_by_no_file(case: &mut Case, file: &Path) -> Result<()> {
 }
 
 /// A copy of the undisturbed run with a damaged file, states with a right checksum too.
-pub fn damaged_file_of_run(case: &mut Case) -> Result<PathBuf> {
+pub(crate) fn damaged_file_of_run(case: &mut Case) -> Result<PathBuf> {
     let run = case.copied_run()?;
     let pool: Vec<PathBuf> =
         files(&run)?.into_iter().filter(|f| is_json(f) || f.ends_with("state.ffgs")).collect();
@@ -153,7 +153,7 @@ pub fn damaged_file_of_run(case: &mut Case) -> Result<PathBuf> {
 }
 
 /// A damaged run: measured, rendered and resumed.
-pub fn damaged_run(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_run(case: &mut Case) -> Result<()> {
     let run = damaged_file_of_run(case)?;
     let path = run.display().to_string();
     let words: Vec<String> = match case.below(3) {
@@ -183,7 +183,7 @@ fn mend_checksum(file: &Path) -> Result<()> {
 }
 
 /// A setting or two at random values: refused by name, or a run of finite numbers.
-pub fn odd_settings(case: &mut Case) -> Result<()> {
+pub(crate) fn odd_settings(case: &mut Case) -> Result<()> {
     let printed = case.ffgs(&["config".into()])?;
     let mut settings: toml::Table = toml::from_str(&String::from_utf8_lossy(&printed.stdout))?;
     for _ in 0..=case.below(2) {
@@ -239,7 +239,7 @@ fn at<'a>(table: &'a mut toml::Table, path: &[String]) -> Option<&'a mut toml::V
 }
 
 /// A reference input of a stage, damaged.
-pub fn damaged_stage_input(case: &mut Case) -> Result<()> {
+pub(crate) fn damaged_stage_input(case: &mut Case) -> Result<()> {
     let folder = case.laboratory.root.join("fixtures/reference");
     let pool: Vec<PathBuf> =
         files(&folder)?.into_iter().filter(|f| f.extension().is_some_and(|e| e == "npz")).collect();

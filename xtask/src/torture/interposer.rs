@@ -9,7 +9,7 @@ use std::process::Command;
 
 /// What befalls the program at one of its calls.
 #[derive(Clone, Copy, Debug)]
-pub struct Strike {
+pub(crate) struct Strike {
     /// `rename`, `sync`, `write`, `open` (of a new file) or `read`.
     pub call: &'static str,
     /// Which of these calls, from 1.
@@ -21,17 +21,17 @@ pub struct Strike {
 }
 
 /// Calls by their names, and `peak`: the most memory that was held (KiB).
-pub type Told = BTreeMap<String, u64>;
+pub(crate) type Told = BTreeMap<String, u64>;
 
 /// The compiled library.
-pub struct Interposer(PathBuf);
+pub(crate) struct Interposer(PathBuf);
 
 impl Interposer {
     /// Compiles the library into a folder.
     ///
     /// # Errors
     /// The reason why this cannot be had here.
-    pub fn build(folder: &Path) -> Result<Self> {
+    pub(crate) fn build(folder: &Path) -> Result<Self> {
         if !cfg!(target_os = "linux") {
             bail!("it is for Linux");
         }
@@ -46,14 +46,14 @@ impl Interposer {
 
     /// Puts the library under a program that is started through a shell (which exports its name as `LD_PRELOAD`), and stops
     /// its clock.
-    pub fn put_under(&self, command: &mut Command, report: &Path) {
+    pub(crate) fn put_under(&self, command: &mut Command, report: &Path) {
         command.env("TORTURE_LIBRARY", &self.0).env("TORTURE_REPORT", report).env("TORTURE_CLOCK", "1");
     }
 }
 
 impl Strike {
     /// Lets it befall a program that has the library under it.
-    pub fn befall(&self, command: &mut Command) {
+    pub(crate) fn befall(&self, command: &mut Command) {
         let numbers = [("TORTURE_HOW", self.errno.to_string()), ("TORTURE_AT", self.at.to_string())];
         command.env("TORTURE_CALL", self.call).envs(numbers);
         command.env("TORTURE_LASTING", if self.lasting { "1" } else { "0" });
@@ -61,7 +61,7 @@ impl Strike {
 }
 
 /// What the library wrote at the end of a program that was not killed.
-pub fn told(report: &Path) -> Told {
+pub(crate) fn told(report: &Path) -> Told {
     let text = fs::read_to_string(report).unwrap_or_default();
     let number =
         |line: &str| line.split_once(' ').and_then(|(name, n)| Some((name.to_owned(), n.parse().ok()?)));

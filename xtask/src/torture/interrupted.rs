@@ -14,12 +14,12 @@ const MOST_STOPS: usize = 4;
 const RUN_MS: usize = 4000;
 
 /// Killed at random moments, resumed with other numbers of threads: the bytes of a run that was never stopped.
-pub fn killed(case: &mut Case) -> Result<()> {
+pub(crate) fn killed(case: &mut Case) -> Result<()> {
     stop_and_resume(case, &["KILL"])
 }
 
 /// The same with signals that a program hears.
-pub fn signalled(case: &mut Case) -> Result<()> {
+pub(crate) fn signalled(case: &mut Case) -> Result<()> {
     stop_and_resume(case, &["TERM", "HUP", "INT"])
 }
 
@@ -48,7 +48,7 @@ fn stop(child: &Child, signal: &str) -> Result<()> {
 }
 
 /// Resumes without limits and compares.
-pub fn finish(case: &mut Case, out: &Path) -> Result<()> {
+pub(crate) fn finish(case: &mut Case, out: &Path) -> Result<()> {
     let words = run_words(&case.laboratory.capture(), out, &["--resume"]);
     let output = case.ffgs(&words)?;
     ensure!(output.status.success(), "the resumed run failed: {}", said(&output));
@@ -56,7 +56,7 @@ pub fn finish(case: &mut Case, out: &Path) -> Result<()> {
 }
 
 /// A frame that has a state has its numbers, and JSON files are whole.
-pub fn whole_frames(out: &Path) -> Result<()> {
+pub(crate) fn whole_frames(out: &Path) -> Result<()> {
     for entry in fs::read_dir(out.join("frames")).into_iter().flatten().flatten() {
         let record = entry.path().join("frame.json");
         if entry.path().join("state.ffgs").exists() || record.exists() {
@@ -68,7 +68,7 @@ pub fn whole_frames(out: &Path) -> Result<()> {
 }
 
 /// No file may be longer than a limit, as on a disk that is nearly full: an error that names a file, no rubbish.
-pub fn short_of_disk(case: &mut Case) -> Result<()> {
+pub(crate) fn short_of_disk(case: &mut Case) -> Result<()> {
     let out = case.path("out");
     let words = run_words(&case.laboratory.capture(), &out, &["--resume"]);
     // Blocks of 512 bytes; the signal is ignored, so that writing fails as on a full disk.
@@ -80,7 +80,7 @@ pub fn short_of_disk(case: &mut Case) -> Result<()> {
 }
 
 /// Little address space: the program may be ended by the allocator, finished frames stay.
-pub fn short_of_memory(case: &mut Case) -> Result<()> {
+pub(crate) fn short_of_memory(case: &mut Case) -> Result<()> {
     let out = case.path("out");
     let words = run_words(&case.laboratory.capture(), &out, &["--resume"]);
     let kib = (60 + case.below(400)) << 10;
@@ -91,7 +91,7 @@ pub fn short_of_memory(case: &mut Case) -> Result<()> {
 }
 
 /// Two runs of different seeds in one folder: one is refused, and the folder is wholly that of the other.
-pub fn concurrent(case: &mut Case) -> Result<()> {
+pub(crate) fn concurrent(case: &mut Case) -> Result<()> {
     let out = case.path("out");
     let capture = case.laboratory.capture();
     let mut children = Vec::new();

@@ -16,7 +16,7 @@ const FRAMES_A_START: usize = 4;
 
 /// A run of many frames, killed at random moments until it has been killed so many times, ends with the bytes of one that
 /// was never stopped: states, splats, metrics and report.
-pub fn killed_a_hundred_times(case: &mut Case) -> Result<()> {
+pub(crate) fn killed_a_hundred_times(case: &mut Case) -> Result<()> {
     let laboratory = case.laboratory;
     // The folder of the case is copied when it fails: all of it is evidence.
     let folder = case.path("long");

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 /// What to torture, and for how long.
 #[derive(clap::Args)]
-pub struct Options {
+pub(crate) struct Options {
     /// Seed of the first round
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -54,7 +54,7 @@ pub struct Options {
 
 impl Options {
     /// The round of CI.
-    pub fn ci(profile: &str) -> Self {
+    pub(crate) fn ci(profile: &str) -> Self {
         Self {
             seed: 1,
             minutes: 0,
@@ -133,7 +133,7 @@ struct Count {
 }
 
 /// Runs rounds of all kinds, prints each failure with its reproduction and a table of counts.
-pub fn run(root: &Path, options: &Options) -> Result<()> {
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let names: Vec<&str> = KINDS.iter().map(|kind| kind.name).collect();
     let unknown = options.only.iter().find(|name| !names.contains(&name.as_str()));
     ensure!(unknown.is_none(), "no kind {unknown:?}; there are: {}", names.join(", "));

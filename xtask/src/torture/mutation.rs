@@ -5,7 +5,7 @@ use super::damage::damage;
 use serde_json::{Value, json};
 
 /// Values that a field of a file may hold by mistake or malice.
-pub fn odd_value(case: &mut Case) -> Value {
+pub(crate) fn odd_value(case: &mut Case) -> Value {
     let texts =
         ["", "../../../../escape", "/escape", "a\u{1b}]0;title\u{7}", "</script><script>", "con", "a/../b"];
     let numbers = [0.0, -1.0, 0.5, 1e300, -1e300, 1e-300, 4_294_967_296.0, 9.3e18];
@@ -22,7 +22,7 @@ pub fn odd_value(case: &mut Case) -> Value {
 }
 
 /// Replaces a random value, wherever it stands, by an odd one; sometimes a branch is left out or doubled.
-pub fn distort(case: &mut Case, value: &mut Value) {
+pub(crate) fn distort(case: &mut Case, value: &mut Value) {
     let descend = case.below(6) > 0;
     match value {
         Value::Array(items) if descend && !items.is_empty() => {
@@ -45,7 +45,7 @@ pub fn distort(case: &mut Case, value: &mut Value) {
 }
 
 /// Damage of a file by its kind: half of the JSON files keep their form and change their meaning.
-pub fn damage_file(case: &mut Case, is_json: bool, bytes: &mut Vec<u8>) {
+pub(crate) fn damage_file(case: &mut Case, is_json: bool, bytes: &mut Vec<u8>) {
     let parsed =
         if is_json && case.below(3) > 0 { serde_json::from_slice::<Value>(bytes).ok() } else { None };
     match parsed {
@@ -58,7 +58,7 @@ pub fn damage_file(case: &mut Case, is_json: bool, bytes: &mut Vec<u8>) {
 }
 
 /// The CRC-32 (IEEE) that ends a state file, so that damage gets past it.
-pub fn crc32(bytes: &[u8]) -> u32 {
+pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, byte| {
         (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
     })

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Reads captures, of which only masks, points or tracks may be missing.
-pub const FORMAT: Format = Format {
+pub(crate) const FORMAT: Format = Format {
     name: "dynamic3dgs",
     looks_for: "train_meta.json (Dynamic3DGaussians)",
     find: |folder| file_called(folder, "train_meta.json"),

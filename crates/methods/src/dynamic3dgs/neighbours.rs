@@ -20,7 +20,7 @@ impl Neighbours {
     ///
     /// # Errors
     /// When a position is not finite.
-    pub fn new(means: &[[f32; 3]], count: usize, decay: f32) -> Result<Self> {
+    pub(crate) fn new(means: &[[f32; 3]], count: usize, decay: f32) -> Result<Self> {
         let per_gaussian = count.min(means.len().saturating_sub(1));
         let edges = edges(means, per_gaussian)?;
         let ends: Vec<u32> = edges.iter().map(|edge| edge.1).collect();
@@ -32,12 +32,12 @@ impl Neighbours {
     }
 
     /// Edges that leave Gaussian `i`.
-    pub fn leaving(&self, i: usize) -> std::ops::Range<usize> {
+    pub(crate) fn leaving(&self, i: usize) -> std::ops::Range<usize> {
         i * self.per_gaussian..(i + 1) * self.per_gaussian
     }
 
     /// Edges that end in Gaussian `i`.
-    pub fn arriving(&self, i: usize) -> impl Iterator<Item = usize> {
+    pub(crate) fn arriving(&self, i: usize) -> impl Iterator<Item = usize> {
         self.arriving[i].iter().map(|&edge| edge as usize)
     }
 }

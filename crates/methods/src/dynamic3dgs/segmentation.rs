@@ -19,7 +19,7 @@ pub(super) struct Segmentation<'a> {
 
 impl<'a> Segmentation<'a> {
     /// The first `foreground` of `gaussians` are those that move.
-    pub fn new(views: &'a [TrainingView], gaussians: &Gaussians, foreground: usize) -> Self {
+    pub(crate) fn new(views: &'a [TrainingView], gaussians: &Gaussians, foreground: usize) -> Self {
         let mut coloured = Gaussians::zeros(gaussians.len(), 0);
         coloured.log_scales.clone_from(&gaussians.log_scales);
         coloured.opacity_logits.clone_from(&gaussians.opacity_logits);
@@ -35,7 +35,7 @@ impl<'a> Segmentation<'a> {
     ///
     /// # Errors
     /// When the loss is not finite.
-    pub fn add(
+    pub(crate) fn add(
         &mut self,
         weight: f32,
         view: usize,

@@ -17,7 +17,7 @@ pub(super) struct Grids {
 impl Grids {
     /// A box of the given quantiles of the positions, and so many cells that each of the finest holds
     /// `gaussians_per_cell`.
-    pub fn new(means: &[[f32; 3]], config: &HicomConfig) -> Self {
+    pub(crate) fn new(means: &[[f32; 3]], config: &HicomConfig) -> Self {
         let corner = |share: f32| [0, 1, 2].map(|a| quantile(means, a, share) * (1.0 + config.quantile));
         let cells = means.len() as f64 / config.gaussians_per_cell as f64;
         let sizes = sizes(cells.cbrt().ceil() as usize, config);
@@ -27,7 +27,7 @@ impl Grids {
     }
 
     /// Who follows which cell; positions outside the box follow those at its faces.
-    pub fn deformation(&self, means: &[[f32; 3]]) -> Deformation {
+    pub(crate) fn deformation(&self, means: &[[f32; 3]]) -> Deformation {
         let mut first = 0;
         let level = |&size: &usize| {
             let cells = means.iter().map(|mean| (first + self.cell(size, mean)) as u32).collect();
@@ -47,11 +47,11 @@ impl Grids {
         })
     }
 
-    pub fn save(&self, out: Writer) -> Writer {
+    pub(crate) fn save(&self, out: Writer) -> Writer {
         out.column(&[self.least, self.most].concat()).count(self.sizes[0]).column(&self.deltas.values)
     }
 
-    pub fn restore(state: &mut Reader, config: &HicomConfig) -> Result<Self> {
+    pub(crate) fn restore(state: &mut Reader, config: &HicomConfig) -> Result<Self> {
         let (corners, finest, deltas) = (state.column()?, state.count()?, state.column()?);
         let [[a, b, c], [d, e, f]] = *corners.as_chunks::<3>().0 else { bail!("a box has two corners") };
         let sizes = sizes(finest, config);

@@ -22,7 +22,7 @@ pub(super) struct Anchors {
 
 impl Anchors {
     /// Samples Gaussians at `means`; nothing moves yet.
-    pub fn new(means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Self {
+    pub(crate) fn new(means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let finest = means.len().div_ceil(config.gaussians_per_anchor);
         let sizes = std::iter::successors(Some(finest), |n| Some(n / config.level_ratio));
@@ -36,7 +36,7 @@ impl Anchors {
     ///
     /// # Errors
     /// When a position is not finite.
-    pub fn renewed(&self, means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Result<Self> {
+    pub(crate) fn renewed(&self, means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Result<Self> {
         let mut new = Self::new(means, config, seed);
         let (mut values, mut first) = (Vec::new(), 0);
         for (level, old) in new.levels.iter().zip(&self.levels) {
@@ -56,7 +56,7 @@ impl Anchors {
     ///
     /// # Errors
     /// When a position is not finite.
-    pub fn deformation(&self, means: &[[f32; 3]]) -> Result<Deformation> {
+    pub(crate) fn deformation(&self, means: &[[f32; 3]]) -> Result<Deformation> {
         let mut first = 0;
         let mut levels = Vec::new();
         for level in &self.levels {
@@ -67,7 +67,7 @@ impl Anchors {
         Ok(Deformation::new(levels, self.deltas.nodes().len()))
     }
 
-    pub fn save(&self, out: Writer) -> Writer {
+    pub(crate) fn save(&self, out: Writer) -> Writer {
         let levels = self.levels.iter();
         let out = levels.fold(out.count(self.levels.len()), |out, level| out.column(level.as_flattened()));
         let [first, second] = self.deltas.adam.moments();
@@ -75,7 +75,7 @@ impl Anchors {
         out.column(&self.deltas.values).column(first).column(second).count(steps)
     }
 
-    pub fn restore(state: &mut Reader) -> Result<Self> {
+    pub(crate) fn restore(state: &mut Reader) -> Result<Self> {
         let levels = (0..state.count()?).map(|_| state.column());
         let levels = levels.map(|level| level.map(|level| level.as_chunks::<3>().0.to_vec()));
         let levels: Vec<Vec<[f32; 3]>> = levels.collect::<Result<_>>()?;

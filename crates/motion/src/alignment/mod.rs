@@ -54,7 +54,7 @@ const LEAST_VIEWS: usize = 3;
 
 /// Refines the motions of the rigid groups of `layer`, which is where it was at t-1, by the `views` at t. Returns how many
 /// were refined: the others are seen by too few views, or show nothing that an alignment could use.
-pub fn align(
+pub(crate) fn align(
     config: &AlignmentConfig,
     rotate: Rotate,
     views: &[TrainingView],

@@ -6,7 +6,7 @@ use nalgebra::Matrix6;
 use rayon::prelude::*;
 
 /// A matrix over the unknowns.
-pub type Square = Matrix6<f64>;
+pub(crate) type Square = Matrix6<f64>;
 
 /// Normal equations of one view.
 #[derive(Clone, Debug)]
@@ -17,7 +17,7 @@ struct Normal {
 
 /// Normal equations of all views.
 #[derive(Clone, Debug)]
-pub struct Joint {
+pub(crate) struct Joint {
     views: Vec<Normal>,
     /// Robust standard deviation of a pixel's difference.
     pub scale: f64,
@@ -34,7 +34,7 @@ const ALIKE: f64 = 3.0;
 
 impl Joint {
     /// Linearised at `motion`; `None` when no pixel counts.
-    pub fn new(patches: &[Patch], motion: &RigidMotion) -> Option<Self> {
+    pub(crate) fn new(patches: &[Patch], motion: &RigidMotion) -> Option<Self> {
         let rows: Vec<Vec<Row>> = patches.par_iter().map(|patch| centred(patch.rows(motion))).collect();
         let mut sizes: Vec<f64> = rows.iter().flatten().map(|row| row.difference.abs()).collect();
         if sizes.is_empty() {
@@ -49,7 +49,7 @@ impl Joint {
     /// The Gauss-Newton step and its covariance: the scatter of the views' gradients between the inverse normal matrices
     /// (White 1980, clustered by view), and no less than pixels would have whose neighbours err alike. `None` where the
     /// pictures leave a direction open.
-    pub fn solve(&self) -> Option<(Unknowns, Square)> {
+    pub(crate) fn solve(&self) -> Option<(Unknowns, Square)> {
         let a = self.views.iter().fold(Square::zeros(), |sum, view| sum + view.a);
         let b = self.views.iter().fold(Unknowns::zeros(), |sum, view| sum + view.b);
         let inverse = a.cholesky()?.inverse();

@@ -7,11 +7,11 @@ use glam::{DVec2, DVec3};
 use nalgebra::Vector6;
 
 /// Step (m) and rotation vector (rad).
-pub type Unknowns = Vector6<f64>;
+pub(crate) type Unknowns = Vector6<f64>;
 
 /// A pixel: photograph minus layer, and its derivative by the motion.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
+pub(crate) struct Row {
     /// Derivative (1/m, 1/rad).
     pub derivative: Unknowns,
     /// Difference of brightness.
@@ -19,7 +19,7 @@ pub struct Row {
 }
 
 /// A group in a view.
-pub struct Patch<'a> {
+pub(crate) struct Patch<'a> {
     /// The view at t.
     pub view: &'a TrainingView,
     /// What the layer shows of the group there.
@@ -28,13 +28,13 @@ pub struct Patch<'a> {
 
 impl Patch<'_> {
     /// Size of a pixel (m) at a place; infinite behind the camera.
-    pub fn pixel_m(&self, place: DVec3) -> f64 {
+    pub(crate) fn pixel_m(&self, place: DVec3) -> f64 {
         let camera = &self.view.camera;
         camera.project(place).map_or(f64::INFINITY, |p| p.depth / camera.intrinsics().focal())
     }
 
     /// The pixels that show the foreground when the group has moved.
-    pub fn rows(&self, motion: &RigidMotion) -> Vec<Row> {
+    pub(crate) fn rows(&self, motion: &RigidMotion) -> Vec<Row> {
         self.points.iter().filter_map(|point| self.row(point, motion)).collect()
     }
 
@@ -50,7 +50,7 @@ impl Patch<'_> {
 
     /// Brightness at a pixel position and its derivative (1/px) by Catmull-Rom splines; `None` unless all sixteen pixels
     /// show the foreground.
-    pub fn bicubic(&self, pixel: DVec2) -> Option<(f64, DVec2)> {
+    pub(crate) fn bicubic(&self, pixel: DVec2) -> Option<(f64, DVec2)> {
         let size = self.view.mask.size();
         let at = pixel - 0.5;
         let corner = at.floor();

@@ -9,7 +9,7 @@ use glam::{DVec2, DVec3};
 
 /// A point of the surface that a pixel shows.
 #[derive(Clone, Copy, Debug)]
-pub struct SurfacePoint {
+pub(crate) struct SurfacePoint {
     /// Where it is (m).
     pub place: DVec3,
     /// Its rendered brightness, 0..1.
@@ -23,7 +23,7 @@ const LEAST_SHARE: f32 = 0.8;
 
 /// (G) the surface points of each group inside the mask, at most `most` each, evenly chosen. What shows through the layer
 /// is the photograph itself, so it differs from nothing.
-pub fn surface_points(
+pub(crate) fn surface_points(
     view: &TrainingView,
     layer: &Gaussians,
     groups: &Groups,
@@ -47,7 +47,7 @@ pub fn surface_points(
 }
 
 /// Mean of the channels.
-pub fn brightness(rgb: [f32; 3]) -> f64 {
+pub(crate) fn brightness(rgb: [f32; 3]) -> f64 {
     rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0
 }
 

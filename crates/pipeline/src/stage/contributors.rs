@@ -69,7 +69,7 @@ pub enum AssociationError {
 
 /// Sums the flow of every tracker under the footprint of every Gaussian, in f64 and in the order of the pixels.
 /// A Gaussian without coverage stays where it was, with weight 0. `flow_floor` (px) is the least flow magnitude in
-/// the weights; 0 = Algorithm 1 to the letter.
+/// the weights; 0 = Algorithm 1, read literally.
 ///
 /// # Errors
 /// [`AssociationError`] when sizes do not fit together.

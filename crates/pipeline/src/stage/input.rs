@@ -11,36 +11,40 @@ pub(super) const ANY: Option<usize> = None;
 pub(super) struct Input(NpzFile);
 
 impl Input {
-    pub fn open(path: &Path) -> Result<Self> {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
         Ok(Self(NpzFile::open(path)?))
     }
 
     /// An error about one array.
-    pub fn fault(&self, key: &str, what: impl std::fmt::Display) -> anyhow::Error {
+    pub(crate) fn fault(&self, key: &str, what: impl std::fmt::Display) -> anyhow::Error {
         anyhow!("{}, array '{key}': {what}", self.0.path().display())
     }
 
     /// An array of that shape; it may be empty.
-    pub fn maybe_empty<T: Element>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
+    pub(crate) fn maybe_empty<T: Element>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
         Ok(self.0.shaped(key, shape)?)
     }
 
     /// An array of that shape with at least one entry.
-    pub fn array<T: Element>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
+    pub(crate) fn array<T: Element>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
         let array = self.maybe_empty(key, shape)?;
         ensure!(!array.data.is_empty(), self.fault(key, format!("empty, shape {:?}", array.shape)));
         Ok(array)
     }
 
     /// As [`Input::array`], every entry finite.
-    pub fn finite<T: Element + Into<f64>>(&self, key: &str, shape: &[Option<usize>]) -> Result<Array<T>> {
+    pub(crate) fn finite<T: Element + Into<f64>>(
+        &self,
+        key: &str,
+        shape: &[Option<usize>],
+    ) -> Result<Array<T>> {
         let array = self.array(key, shape)?;
         self.check_finite(key, &array)?;
         Ok(array)
     }
 
     /// Refuses NaN and infinity.
-    pub fn check_finite<T: Element + Into<f64>>(&self, key: &str, array: &Array<T>) -> Result<()> {
+    pub(crate) fn check_finite<T: Element + Into<f64>>(&self, key: &str, array: &Array<T>) -> Result<()> {
         match array.data.iter().position(|&v| !v.into().is_finite()) {
             Some(index) => Err(self.fault(key, format!("entry {index} is not finite"))),
             None => Ok(()),
@@ -48,20 +52,20 @@ impl Input {
     }
 
     /// A single finite number.
-    pub fn number(&self, key: &str) -> Result<f64> {
+    pub(crate) fn number(&self, key: &str) -> Result<f64> {
         let value = self.0.f64(key)?.scalar()?;
         ensure!(value.is_finite(), self.fault(key, "not finite"));
         Ok(value)
     }
 
     /// A single whole number that is not negative.
-    pub fn count(&self, key: &str) -> Result<usize> {
+    pub(crate) fn count(&self, key: &str) -> Result<usize> {
         let value = self.0.i64(key)?.scalar()?;
         usize::try_from(value).map_err(|_| self.fault(key, format!("{value} is negative")))
     }
 
     /// An image size; `key` names the array for messages.
-    pub fn image_size(&self, key: &str, height: i64, width: i64) -> Result<ImageSize> {
+    pub(crate) fn image_size(&self, key: &str, height: i64, width: i64) -> Result<ImageSize> {
         let pixels = usize::try_from(height).ok().zip(usize::try_from(width).ok());
         match pixels {
             Some((height, width)) if (1..=ImageSize::MAX_PIXELS).contains(&height.saturating_mul(width)) => {
@@ -72,7 +76,7 @@ impl Input {
     }
 
     /// (V, 4) `intrinsics` and (V, 4, 4) `camera_from_world`.
-    pub fn cameras(&self, size: ImageSize) -> Result<Vec<Camera>> {
+    pub(crate) fn cameras(&self, size: ImageSize) -> Result<Vec<Camera>> {
         let intrinsics = self.array::<f64>("intrinsics", &[ANY, Some(4)])?;
         let views = intrinsics.shape[0];
         let poses = self.array::<f64>("camera_from_world", &[Some(views), Some(4), Some(4)])?;

@@ -50,7 +50,7 @@ pub enum Stage {
     Ssim,
 }
 
-/// Whether a stage does what a run does with the default settings, or what the paper says to the letter. They differ for
+/// Whether a stage does what a run does with the default settings, or our most literal reading of the paper. They differ for
 /// [`Stage::Associate`], [`Stage::Fuse`] and [`Stage::Ssim`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {

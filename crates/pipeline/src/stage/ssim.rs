@@ -1,4 +1,4 @@
-//! `ffgs stage ssim`: the similarity that a run reports and the loss that it trains with; to the letter, SSIM of any images in
+//! `ffgs stage ssim`: the similarity that a run reports and the loss that it trains with; literally, SSIM of any images in
 //! f64 with its maps and gradients.
 
 use super::input::{ANY, Input, narrow};

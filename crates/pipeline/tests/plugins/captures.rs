@@ -14,7 +14,7 @@ fn poses() -> [DMat4; 2] {
 }
 
 /// Writes the capture. A format that is added needs its lines here.
-pub fn write(format: &str, folder: &Path) {
+pub(crate) fn write(format: &str, folder: &Path) {
     match format {
         "dynamic3dgs" => dynamic3dgs(folder),
         "panoptic" => panoptic(folder),

@@ -7,7 +7,7 @@ use ffgs_pipeline::method::Method;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-pub const METHOD: Method = Method {
+pub(crate) const METHOD: Method = Method {
     usage: "constant-velocity",
     former: None,
     summary: "every Gaussian goes on as in the last frame",

@@ -21,7 +21,7 @@ pub(crate) struct Background {
 impl Background {
     /// The colour that most samples agree on at each pixel; samples inside `masks` (one each, or none at all) do not
     /// count as long as others are left. Exposure differences are taken out before.
-    pub fn learn(images: &[ImageRgb8], masks: &[Mask]) -> Self {
+    pub(crate) fn learn(images: &[ImageRgb8], masks: &[Mask]) -> Self {
         let size = images[0].size();
         let gains: Vec<[f32; 3]> = {
             let reference = median_image(images);
@@ -45,7 +45,7 @@ impl Background {
     }
 
     /// Factors by which an image is multiplied to have the background's exposure.
-    pub fn gain(&self, image: &ImageRgb8) -> [f32; 3] {
+    pub(crate) fn gain(&self, image: &ImageRgb8) -> [f32; 3] {
         gain(image, &self.colour)
     }
 }

@@ -7,59 +7,59 @@ use rayon::prelude::*;
 
 /// How large a scene is.
 #[derive(Clone, Copy, Debug)]
-pub struct Scale {
+pub(crate) struct Scale {
     /// In the benchmarks' names.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Views V.
-    pub views: usize,
+    pub(crate) views: usize,
     /// Image width (px); the height is 9 / 16 of it.
-    pub width: usize,
+    pub(crate) width: usize,
     /// Gaussians that move.
-    pub moving: usize,
+    pub(crate) moving: usize,
     /// Gaussians that stand.
-    pub fixed: usize,
+    pub(crate) fixed: usize,
     /// Tracks of the sparse and the medium tracker in a view, all on the cars.
-    pub tracks: [usize; 2],
+    pub(crate) tracks: [usize; 2],
 }
 
 /// The sample capture's.
-pub const SAMPLE: Scale =
+pub(crate) const SAMPLE: Scale =
     Scale { name: "sample", views: 20, width: 320, moving: 23_000, fixed: 66_000, tracks: [100, 400] };
 /// The paper's.
-pub const PAPER: Scale =
+pub(crate) const PAPER: Scale =
     Scale { name: "paper", views: 60, width: 1920, moving: 200_000, fixed: 200_000, tracks: [400, 4000] };
 
 /// One view at t-1.
 #[derive(Clone, Debug)]
-pub struct SceneView {
+pub(crate) struct SceneView {
     /// The cars' pixels.
-    pub mask: Mask,
+    pub(crate) mask: Mask,
     /// Those at t.
-    pub mask_now: Mask,
+    pub(crate) mask_now: Mask,
     /// What the sparse and the medium tracker say.
-    pub tracks: [TrackSet; 2],
+    pub(crate) tracks: [TrackSet; 2],
     /// What the dense tracker says.
-    pub dense: DenseMotion,
+    pub(crate) dense: DenseMotion,
 }
 
 /// A frame.
 #[derive(Clone, Debug)]
-pub struct Scene {
+pub(crate) struct Scene {
     /// (V) cameras of both times.
-    pub cameras: Vec<Camera>,
+    pub(crate) cameras: Vec<Camera>,
     /// (V) what they see.
-    pub views: Vec<SceneView>,
+    pub(crate) views: Vec<SceneView>,
     /// (N) places of the moving Gaussians at t-1 (m).
-    pub previous: Vec<DVec3>,
+    pub(crate) previous: Vec<DVec3>,
     /// (N) places at t (m).
-    pub truth: Vec<DVec3>,
+    pub(crate) truth: Vec<DVec3>,
     /// Both layers, the moving one first.
-    pub joint: Gaussians,
+    pub(crate) joint: Gaussians,
 }
 
 impl Scale {
     /// For the names of benchmarks.
-    pub fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         let Self { name, views, width, moving, .. } = *self;
         format!("{name}_{views}views_{width}x{}_{moving}gaussians", width * 9 / 16)
     }
@@ -70,7 +70,7 @@ impl Scale {
     }
 
     /// The first `views` views.
-    pub fn scene(&self, views: usize) -> Scene {
+    pub(crate) fn scene(&self, views: usize) -> Scene {
         let recipe = Recipe {
             scenario: Scenario::TwoSpeeds,
             views: self.views,
@@ -144,7 +144,7 @@ impl Scale {
             let at = DVec2::new(column as f64, row as f64);
             square(at, self.radius(), size).for_each(|pixel| now[pixel] = 1);
         }
-        let mask = |data| Mask::new(size, data).expect("a byte a pixel");
+        let mask = |data| Mask::new(size, data).expect("one byte per pixel");
         SceneView { mask: mask(foreground), mask_now: mask(now), tracks, dense }
     }
 

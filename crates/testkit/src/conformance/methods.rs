@@ -12,7 +12,8 @@ const COUNT: usize = 120;
 const ROUNDING: f64 = 5e-4;
 
 /// A method as the suite makes it, from the trackers of a run.
-pub type Build<'a> = dyn for<'t> Fn(&'t [Box<dyn TrackSource>]) -> Box<dyn MotionMethod + 't> + Sync + 'a;
+pub(crate) type Build<'a> =
+    dyn for<'t> Fn(&'t [Box<dyn TrackSource>]) -> Box<dyn MotionMethod + 't> + Sync + 'a;
 
 /// What a [`MotionMethod`] owes: identity motion moves nothing; the order of the Gaussians decides nothing; empty scenes,
 /// masks and tracks are no error; 1 and 8 threads give equal bytes; a restored method goes on as one that never stopped.

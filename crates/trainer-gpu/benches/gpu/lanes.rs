@@ -16,7 +16,7 @@ const GAUSSIANS: usize = 100_000;
 const STEPS: usize = 40;
 
 /// Rows `gpu/dynamic_lane/SHARE%` and `cpu/dynamic_lane/SHARE%`, SHARE = foreground in the image.
-pub fn dynamic(device: &SceneDevice, percent: u32, rows: &mut Rows) -> Result<()> {
+pub(crate) fn dynamic(device: &SceneDevice, percent: u32, rows: &mut Rows) -> Result<()> {
     let (all, sky) = (discs(GAUSSIANS, 3, 0.45), SkyCube::filled(64, [0.5; 3]));
     let mask = disc(f64::from(percent) / 100.0);
     let (moving, still) = split(&all, &mask);
@@ -49,7 +49,7 @@ fn disc(share: f64) -> Mask {
         let y = (i / SIZE.width) as f64 / SIZE.height as f64 - 0.5;
         u8::from(x.hypot(y) < radius)
     };
-    Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).expect("one byte a pixel")
+    Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).expect("one byte per pixel")
 }
 
 /// Gaussians whose centres fall into the mask of the middle camera, and the others.

@@ -62,7 +62,7 @@ fn machine_fma(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
 };
 
 /// Rows `machine/copy` and `machine/fma`.
-pub fn rates(gpu: &Gpu, rows: &mut Rows) -> Result<(), GpuError> {
+pub(crate) fn rates(gpu: &Gpu, rows: &mut Rows) -> Result<(), GpuError> {
     let bytes = ARRAY.min(gpu.report().max_binding);
     let (source, copied) = (gpu.buffer("source", bytes)?, gpu.buffer("copy", bytes)?);
     let groups = || Groups::Items((bytes / 16) as usize);

@@ -6,13 +6,13 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 /// Measured cases as text: name, seconds, bytes and operations at least.
-pub struct Rows {
+pub(crate) struct Rows {
     text: String,
     samples: usize,
 }
 
 impl Rows {
-    pub fn new(gpu: &Gpu, samples: usize) -> Self {
+    pub(crate) fn new(gpu: &Gpu, samples: usize) -> Self {
         let report = gpu.report();
         let clock = if report.timestamps {
             "kernels by timestamps, each in a pass of its own"
@@ -30,19 +30,19 @@ impl Rows {
         Self { text, samples: samples.max(1) }
     }
 
-    pub fn add(&mut self, name: &str, seconds: f64, floor: Option<Floor>) {
+    pub(crate) fn add(&mut self, name: &str, seconds: f64, floor: Option<Floor>) {
         let work = floor.map_or_else(|| ",".to_owned(), |f| format!("{:.0},{:.0}", f.bytes, f.operations));
         eprintln!("{name:<52} {:>12.3} ms", seconds * 1e3);
         // Writing to a string cannot fail.
         let _ = writeln!(self.text, "{name},{seconds:.6e},{work}");
     }
 
-    pub fn text(&self) -> &str {
+    pub(crate) fn text(&self) -> &str {
         &self.text
     }
 
     /// Median seconds of `work` on the host, once done before.
-    pub fn time(&self, mut work: impl FnMut()) -> f64 {
+    pub(crate) fn time(&self, mut work: impl FnMut()) -> f64 {
         work();
         self.median(|| {
             let start = Instant::now();
@@ -52,7 +52,7 @@ impl Rows {
     }
 
     /// Median seconds of one submission of `work` among as many as take a tenth of a second, to the end of the last.
-    pub fn time_on(
+    pub(crate) fn time_on(
         &self,
         gpu: &Gpu,
         mut work: impl FnMut() -> Result<(), GpuError>,
@@ -69,16 +69,16 @@ impl Rows {
         Ok(median(samples))
     }
 
-    pub fn median(&self, mut sample: impl FnMut() -> f64) -> f64 {
+    pub(crate) fn median(&self, mut sample: impl FnMut() -> f64) -> f64 {
         median((0..self.samples).map(|_| sample()).collect())
     }
 
-    pub fn samples(&self) -> usize {
+    pub(crate) fn samples(&self) -> usize {
         self.samples
     }
 }
 
-pub fn median(mut values: Vec<f64>) -> f64 {
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }

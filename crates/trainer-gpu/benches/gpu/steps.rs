@@ -21,7 +21,7 @@ const PARTS: [(&str, Part); 5] = [
 ];
 
 /// Rows `gpu/PART/SIZE/COUNT`, `gpu/round_trip/SIZE/COUNT` (density control), `kernel/NAME/SIZE/COUNT` and `cpu/forward/SIZE/COUNT`.
-pub fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result<()> {
+pub(crate) fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) -> Result<()> {
     let case = format!("{}x{}/{count}", size.width, size.height);
     let gaussians = discs(count, 3, SPREAD);
     let view = training_view(&gaussians, camera(size, 0.0), Mask::filled(size, true));

@@ -46,6 +46,9 @@ const RATES: LearningRates =
 
 impl<'a> Probe<'a> {
     /// Everything on the device, and one whole step done.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn new(
         gpu: &'a Gpu,
         gaussians: &Gaussians,
@@ -67,6 +70,9 @@ impl<'a> Probe<'a> {
     }
 
     /// Submits a part; does not wait for it.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn run(&self, part: Part) -> Result<(), GpuError> {
         self.prepare(part);
         let mut commands = self.workspace.gpu.commands();
@@ -75,6 +81,9 @@ impl<'a> Probe<'a> {
     }
 
     /// Times of the kernels of a part, in their order; `None` where the adapter has no timestamps. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn times(&self, part: Part) -> Result<Option<Vec<KernelTime>>, GpuError> {
         self.prepare(part);
         let Some(mut commands) = self.workspace.gpu.timed_commands() else { return Ok(None) };
@@ -84,6 +93,9 @@ impl<'a> Probe<'a> {
 
     /// What a round of density control moves, with nothing grown: Gaussians, moments and notes to the host and back.
     /// Returns the bytes.
+    ///
+    /// # Errors
+    /// When the device fails or has too little memory.
     pub fn round_trip(&mut self) -> Result<u64, GpuError> {
         let gpu = self.workspace.gpu;
         let before = gpu.traffic();
@@ -119,6 +131,9 @@ impl<'a> Probe<'a> {
     }
 
     /// What a step works on; `contributions` = (pixel, Gaussian) pairs that are blended. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device failed.
     pub fn counts(&self, contributions: u64) -> Result<Counts, GpuError> {
         let needed = self.workspace.scratch.needed(self.workspace.gpu)?;
         let in_sight = self.optimiser.ledger()?.iter().filter(|l| l.stamp == self.stamp.get()).count();

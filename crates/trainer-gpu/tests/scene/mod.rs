@@ -10,21 +10,21 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-pub const SIZE: ImageSize = ImageSize { width: 45, height: 35 };
-pub const SKY: [f32; 3] = [0.5, 0.6, 0.8];
+pub(crate) const SIZE: ImageSize = ImageSize { width: 45, height: 35 };
+pub(crate) const SKY: [f32; 3] = [0.5, 0.6, 0.8];
 
-pub fn camera(angle: f64) -> Camera {
+pub(crate) fn camera(angle: f64) -> Camera {
     let intrinsics = Intrinsics { fx: 40.0, fy: 42.0, cx: 22.3, cy: 17.8 };
     let pose = DMat4::from_translation(DVec3::new(0.0, 0.0, 4.0)) * DMat4::from_rotation_y(angle);
     Camera::new(intrinsics, pose, SIZE).unwrap()
 }
 
-pub fn cameras() -> [Camera; 4] {
+pub(crate) fn cameras() -> [Camera; 4] {
     [-0.4, -0.1, 0.2, 0.5].map(camera)
 }
 
 /// A blob of Gaussians around `center`.
-pub fn blob(n: usize, center: [f32; 3], radius: f32, seed: u64) -> Gaussians {
+pub(crate) fn blob(n: usize, center: [f32; 3], radius: f32, seed: u64) -> Gaussians {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut out = Gaussians::zeros(n, 1);
     for i in 0..n {
@@ -38,7 +38,7 @@ pub fn blob(n: usize, center: [f32; 3], radius: f32, seed: u64) -> Gaussians {
 }
 
 /// As an optimiser finds it: moved and recoloured.
-pub fn perturbed(g: &Gaussians, seed: u64) -> Gaussians {
+pub(crate) fn perturbed(g: &Gaussians, seed: u64) -> Gaussians {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut out = g.clone();
     out.means.as_flattened_mut().iter_mut().for_each(|v| *v += rng.random_range(-0.03..0.03));
@@ -46,7 +46,7 @@ pub fn perturbed(g: &Gaussians, seed: u64) -> Gaussians {
     out
 }
 
-pub fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
+pub(crate) fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
     let mut behind = PlanarImage::zeros(SIZE);
     SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
@@ -56,7 +56,7 @@ pub fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
 }
 
 /// Photographs of `truth`, with the pixels that `moving` covers as masks.
-pub fn photographs(truth: &Gaussians, moving: &Gaussians) -> Vec<TrainingView> {
+pub(crate) fn photographs(truth: &Gaussians, moving: &Gaussians) -> Vec<TrainingView> {
     let (sky, black) = (SkyCube::filled(8, SKY), SkyCube::filled(8, [0.0; 3]));
     let mut white = moving.clone();
     let stride = white.sh_stride();
@@ -73,7 +73,7 @@ pub fn photographs(truth: &Gaussians, moving: &Gaussians) -> Vec<TrainingView> {
     cameras().into_iter().map(view).collect()
 }
 
-pub fn mean_psnr(g: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> f64 {
+pub(crate) fn mean_psnr(g: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> f64 {
     let psnr = |v: &TrainingView| {
         let (found, truth) = (render(g, sky, &v.camera), PlanarImage::from(&v.image));
         let squares: f64 = found.data().iter().zip(truth.data()).map(|(a, b)| f64::from(a - b).powi(2)).sum();
@@ -82,28 +82,28 @@ pub fn mean_psnr(g: &Gaussians, sky: &SkyCube, views: &[TrainingView]) -> f64 {
     views.iter().map(psnr).sum::<f64>() / views.len() as f64
 }
 
-pub fn joint(a: &Gaussians, b: &Gaussians) -> Gaussians {
+pub(crate) fn joint(a: &Gaussians, b: &Gaussians) -> Gaussians {
     let mut out = a.clone();
     out.extend(b);
     out
 }
 
 /// A scene with everything that the lanes need.
-pub struct World {
-    pub moving: Gaussians,
-    pub fixed: Arc<Gaussians>,
-    pub sky: SkyCube,
-    pub views: Vec<TrainingView>,
+pub(crate) struct World {
+    pub(crate) moving: Gaussians,
+    pub(crate) fixed: Arc<Gaussians>,
+    pub(crate) sky: SkyCube,
+    pub(crate) views: Vec<TrainingView>,
 }
 
-pub fn world() -> World {
+pub(crate) fn world() -> World {
     let (moving, fixed) = (blob(30, [0.0; 3], 0.4, 6), blob(60, [0.0, 0.2, 0.3], 1.6, 7));
     let views = photographs(&joint(&moving, &fixed), &moving);
     World { moving, fixed: Arc::new(fixed), sky: SkyCube::filled(8, SKY), views }
 }
 
 /// Diagonals as large as photographs make them, blocks that are no diagonals.
-pub fn information(n: usize) -> Information {
+pub(crate) fn information(n: usize) -> Information {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let block = |rng: &mut ChaCha8Rng| {
         let root = DMat3::from_cols_array(&[(); 9].map(|()| rng.random_range(-1.0..1.0)));

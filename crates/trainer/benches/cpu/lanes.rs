@@ -15,7 +15,7 @@ use std::sync::Arc;
 const STEPS: usize = 40;
 
 /// The dynamic lane against the foreground's share of the image (percent). Elements = contributions of all steps.
-pub fn dynamic(c: &mut Criterion) {
+pub(crate) fn dynamic(c: &mut Criterion) {
     let size = ImageSize { width: 640, height: 360 };
     let (all, sky) = (discs(100_000, 3, 0.45), SkyCube::filled(64, [0.5; 3]));
     let mut group = c.benchmark_group("dynamic_lane");
@@ -57,7 +57,7 @@ fn split(all: &Gaussians, size: ImageSize, mask: &Mask) -> (Gaussians, Gaussians
 }
 
 /// The static lane's linear solve against 500 plain steps, on the same views.
-pub fn static_lane(c: &mut Criterion) {
+pub(crate) fn static_lane(c: &mut Criterion) {
     let size = ImageSize { width: 160, height: 96 };
     let (layer, sky) = (discs(10_000, 3, 0.45), SkyCube::filled(16, [0.3; 3]));
     let views: Vec<TrainingView> = [-1.0, -0.5, 0.0, 0.5, 1.0]

@@ -12,7 +12,7 @@ const ROUNDS: usize = 100_000;
 const ARRAY: usize = 256 << 20;
 
 /// Groups `machine/fma` (elements = multiply-adds) and `machine/copy` (bytes read plus bytes written).
-pub fn rates(c: &mut Criterion) {
+pub(crate) fn rates(c: &mut Criterion) {
     let mut group = c.benchmark_group("machine");
     let lanes = Arch::new().dispatch(Lanes);
     for threads in [1, 2] {

@@ -14,7 +14,7 @@ fn images(size: ImageSize) -> (PlanarImage, ImageRgb8) {
 }
 
 /// An ellipse with the given share of the image.
-pub fn ellipse(size: ImageSize, share: f64) -> Mask {
+pub(crate) fn ellipse(size: ImageSize, share: f64) -> Mask {
     let (w, h) = (size.width as f64, size.height as f64);
     // Area pi a b w h with a = b.
     let radius = (share / std::f64::consts::PI).sqrt();
@@ -22,11 +22,11 @@ pub fn ellipse(size: ImageSize, share: f64) -> Mask {
         let (x, y) = ((i % size.width) as f64 / w - 0.5, (i / size.width) as f64 / h - 0.5);
         u8::from(x.hypot(y) < radius)
     };
-    Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte a pixel")
+    Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte per pixel")
 }
 
 /// One evaluation; elements = samples (pixels times channels) that count.
-pub fn loss(c: &mut Criterion) {
+pub(crate) fn loss(c: &mut Criterion) {
     let mut group = c.benchmark_group("loss");
     for (width, height) in [(320, 180), (1280, 720)] {
         let size = ImageSize { width, height };
@@ -46,7 +46,7 @@ pub fn loss(c: &mut Criterion) {
 }
 
 /// One step of 100 k Gaussians; bytes = parameter, gradient and moments read, all but the gradient written.
-pub fn adam(c: &mut Criterion) {
+pub(crate) fn adam(c: &mut Criterion) {
     const COUNT: usize = 100_000;
     let mut group = c.benchmark_group("adam");
     let mut gradient = Gaussians::zeros(COUNT, 3);

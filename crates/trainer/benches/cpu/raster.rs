@@ -104,7 +104,7 @@ fn record(name: &str, case: &Step, contributions: u64) {
 }
 
 /// Three image sizes, three counts, SH degree 3.
-pub fn sizes(c: &mut Criterion) {
+pub(crate) fn sizes(c: &mut Criterion) {
     for (width, height) in [(320, 180), (1280, 720), (1920, 1080)] {
         for (count, name) in [(20_000, "20k"), (200_000, "200k"), (1_000_000, "1M")] {
             if let Some(name) = wanted(&format!("{width}x{height}/{name}")) {
@@ -119,7 +119,7 @@ pub fn sizes(c: &mut Criterion) {
 
 /// As many Gaussians, pixels and contributions as gsplat's garden scene has in its test view: 101 201 in front,
 /// 648x420, SH degree 0, 12.9 million contributions, no antialiasing. The size of the discs is tuned to that count.
-pub fn garden(c: &mut Criterion) {
+pub(crate) fn garden(c: &mut Criterion) {
     const WANTED: f64 = 12.9e6;
     let Some(name) = wanted("garden") else { return };
     let camera = camera(ImageSize { width: 648, height: 420 }, 0.0);

@@ -16,12 +16,12 @@ const DEPTH: f32 = 30.0;
 const HEIGHT: f32 = 6.0;
 
 /// A pool of so many threads.
-pub fn pool(threads: usize) -> ThreadPool {
+pub(crate) fn pool(threads: usize) -> ThreadPool {
     ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
 }
 
 /// `n` discs; `spread` = standard deviation along the surface over the distance of neighbours.
-pub fn discs(n: usize, sh_degree: usize, spread: f32) -> Gaussians {
+pub(crate) fn discs(n: usize, sh_degree: usize, spread: f32) -> Gaussians {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let area = 2.0 * HALF_WIDTH * DEPTH + 2.0 * DEPTH * HEIGHT + 2.0 * HALF_WIDTH * HEIGHT;
     let spacing = (area / n as f32).sqrt();
@@ -60,7 +60,7 @@ fn surface_point(area: f32, u: f32, v: f32) -> ([f32; 3], usize) {
 }
 
 /// A camera at eye height before the scene, moved sideways by `x` (m), 70 degrees wide.
-pub fn camera(size: ImageSize, x: f64) -> Camera {
+pub(crate) fn camera(size: ImageSize, x: f64) -> Camera {
     let (w, h) = (size.width as f64, size.height as f64);
     let f = w / (2.0 * 35.0_f64.to_radians().tan());
     let intrinsics = Intrinsics { fx: f, fy: f, cx: w / 2.0, cy: h / 2.0 };
@@ -69,7 +69,7 @@ pub fn camera(size: ImageSize, x: f64) -> Camera {
 }
 
 /// (pixel, Gaussian) pairs that are blended.
-pub fn contributions(
+pub(crate) fn contributions(
     gaussians: &Gaussians,
     camera: &Camera,
     tiles: Option<&TileMask>,
@@ -84,7 +84,7 @@ pub fn contributions(
 }
 
 /// A photograph that differs from the render everywhere, with a mask.
-pub fn training_view(gaussians: &Gaussians, camera: Camera, mask: Mask) -> TrainingView {
+pub(crate) fn training_view(gaussians: &Gaussians, camera: Camera, mask: Mask) -> TrainingView {
     let view = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
     let mut tape = RenderTape::default();
     CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })

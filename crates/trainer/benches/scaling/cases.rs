@@ -30,7 +30,7 @@ enum Lane {
 
 /// One row of the table.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Case {
+pub(crate) struct Case {
     lane: Lane,
     gaussians: usize,
     size: ImageSize,
@@ -38,7 +38,7 @@ pub struct Case {
 }
 
 /// The table: one quantity varies at a time.
-pub fn all() -> Vec<Case> {
+pub(crate) fn all() -> Vec<Case> {
     let size = |width, height| ImageSize { width, height };
     let (small, medium, large, full) = (size(320, 180), size(640, 360), size(1280, 720), size(1920, 1080));
     let case = |lane, gaussians, size, views| Case { lane, gaussians, size, views };
@@ -97,7 +97,7 @@ impl Clock {
 
 impl Case {
     /// The row of this case.
-    pub fn measure(&self) -> String {
+    pub(crate) fn measure(&self) -> String {
         let views = self.training_views();
         let gaussians = discs(self.gaussians, 3, SPREAD);
         let (clock, peak, held) = pool(THREADS).install(|| match self.lane {
@@ -183,5 +183,5 @@ fn disc(size: ImageSize, share: f64) -> Mask {
         let (x, y) = ((i % size.width) as f64 / w - 0.5, (i / size.width) as f64 / h - 0.5);
         u8::from(x.hypot(y) < radius)
     };
-    Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte a pixel")
+    Mask::new(size, (0..size.pixels()).map(inside).collect()).expect("one byte per pixel")
 }

@@ -14,7 +14,7 @@ const TRAINED: usize = 4 * 4 * PARAMETERS;
 const FROZEN: usize = 4 * PARAMETERS;
 /// Photograph and mask of a view's pixel.
 const PHOTO: usize = 4;
-/// A pixel of the view at hand, f32: image 3, transmittance 1, what lies behind 3, gradient 3, sums a tile 4, and the
+/// Per pixel of the view at hand, f32: image 3, transmittance 1, what lies behind 3, gradient 3, sums per tile 4, and the
 /// loss's derivatives by its three window sums in three channels 9.
 const PIXEL: usize = 4 * (3 + 1 + 3 + 3 + 4 + 9);
 /// A visible splat: one cache line, its place in the list of pairs, and the tile spans (12 bytes, about two).
@@ -32,14 +32,14 @@ fn tape(gaussians: &Gaussians, camera: &Camera, tiles: Option<&TileMask>) -> usi
 }
 
 /// Steps of frame 0.
-pub fn first_frame(gaussians: &Gaussians, size: ImageSize, views: usize) -> usize {
+pub(crate) fn first_frame(gaussians: &Gaussians, size: ImageSize, views: usize) -> usize {
     let pixels = size.pixels();
     gaussians.len() * TRAINED + pixels * (views * PHOTO + PIXEL) + tape(gaussians, &camera(size, 0.0), None)
 }
 
 /// The dynamic lane: both layers, the photographs, and for each pixel of a computed tile what the static layer shows in
 /// front and behind, the transmittance between (7 f32), and the region (1).
-pub fn dynamic(
+pub(crate) fn dynamic(
     moving: &Gaussians,
     still: &Gaussians,
     size: ImageSize,
@@ -55,7 +55,7 @@ pub fn dynamic(
 
 /// The static lane's solve: the layer, five vectors of conjugate gradients over its colours, the photographs, and per
 /// view the residual (3 f32) and the contributors of every pixel (8 bytes each, and where they start).
-pub fn static_solve(layer: &Gaussians, size: ImageSize, views: usize) -> usize {
+pub(crate) fn static_solve(layer: &Gaussians, size: ImageSize, views: usize) -> usize {
     const CONTRIBUTORS: usize = 16;
     const VECTORS: usize = 5;
     let camera = camera(size, 0.0);

@@ -16,7 +16,7 @@ pub(super) enum Surrounding<'a> {
 
 impl Surrounding<'_> {
     /// Turns to a view.
-    pub fn aim(&mut self, index: usize, camera: &Camera) {
+    pub(crate) fn aim(&mut self, index: usize, camera: &Camera) {
         match self {
             Self::Sky(sky, behind) => behind.aim(sky, camera),
             Self::Trained(sky) => sky.behind.aim(sky.sky, camera),
@@ -25,7 +25,7 @@ impl Surrounding<'_> {
     }
 
     /// What is behind the layer in the view at hand.
-    pub fn behind(&self) -> &PlanarImage {
+    pub(crate) fn behind(&self) -> &PlanarImage {
         match self {
             Self::Sky(_, behind) => behind.image(),
             Self::Trained(sky) => sky.behind.image(),
@@ -34,7 +34,7 @@ impl Surrounding<'_> {
     }
 
     /// The whole image, given the layer over what is behind it.
-    pub fn compose<'i>(&'i mut self, index: usize, drawn: &'i PlanarImage) -> &'i PlanarImage {
+    pub(crate) fn compose<'i>(&'i mut self, index: usize, drawn: &'i PlanarImage) -> &'i PlanarImage {
         match self {
             Self::Sky(..) | Self::Trained(_) => drawn,
             Self::Cut(cut) => cut.compose(index, drawn),
@@ -42,7 +42,7 @@ impl Surrounding<'_> {
     }
 
     /// From the derivative by the whole image to that by the layer's own.
-    pub fn upstream<'g>(&'g self, index: usize, image: &'g mut PlanarImage) -> PixelGradients<'g> {
+    pub(crate) fn upstream<'g>(&'g self, index: usize, image: &'g mut PlanarImage) -> PixelGradients<'g> {
         match self {
             Self::Sky(..) | Self::Trained(_) => PixelGradients { image, transmittance: None },
             Self::Cut(cut) => {
@@ -54,7 +54,7 @@ impl Surrounding<'_> {
 
     /// One step of the sky, if it is trained. `gradient` = derivative by the image, which is overwritten; `through` =
     /// transmittance of the layer.
-    pub fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
+    pub(crate) fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
         if let Self::Trained(sky) = self {
             sky.step(gradient, through);
         }
@@ -71,7 +71,7 @@ pub(super) struct TrainedSky<'a> {
 }
 
 impl<'a> TrainedSky<'a> {
-    pub fn new(sky: &'a mut SkyCube, rate: f32) -> Self {
+    pub(crate) fn new(sky: &'a mut SkyCube, rate: f32) -> Self {
         let texels = sky.texels.len();
         let (adam, gradients) = (AdamVec::new(texels, 3), TexelGradients::new(texels));
         Self { sky, rate, behind: SkyBehind::new(), adam, gradients }

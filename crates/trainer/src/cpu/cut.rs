@@ -37,7 +37,7 @@ pub(super) struct Cut {
 
 impl Cut {
     /// Draws every view once. Counts in `seen` the views that see each Gaussian of `layer`.
-    pub fn new(
+    pub(crate) fn new(
         layers: CutLayers,
         layer: &Gaussians,
         views: &[TaskView],
@@ -54,7 +54,7 @@ impl Cut {
     }
 
     /// Lays what is cut of a view into images of its size.
-    pub fn aim(&mut self, index: usize) {
+    pub(crate) fn aim(&mut self, index: usize) {
         let view = &self.views[index];
         let size = view.region.size();
         if self.size != Some(size) {
@@ -80,17 +80,17 @@ impl Cut {
     }
 
     /// What stands behind the layer in the view at hand.
-    pub fn behind(&self) -> &PlanarImage {
+    pub(crate) fn behind(&self) -> &PlanarImage {
         &self.behind
     }
 
     /// Derivative of the alpha penalty by the layer's transmittance in the view at hand.
-    pub fn penalty(&self) -> &[f32] {
+    pub(crate) fn penalty(&self) -> &[f32] {
         &self.penalty
     }
 
     /// `front + T_front * drawn`, drawn = the layer over what is behind it.
-    pub fn compose(&mut self, index: usize, drawn: &PlanarImage) -> &PlanarImage {
+    pub(crate) fn compose(&mut self, index: usize, drawn: &PlanarImage) -> &PlanarImage {
         let view = &self.views[index];
         let pixels = view.transmittance.len();
         for_each_run(&mut self.image, &view.runs, |channel, run, at, out| {
@@ -105,7 +105,7 @@ impl Cut {
     }
 
     /// From the derivative by the composed image to that by the layer's own.
-    pub fn through_front(&self, index: usize, gradient: &mut PlanarImage) {
+    pub(crate) fn through_front(&self, index: usize, gradient: &mut PlanarImage) {
         let view = &self.views[index];
         for_each_run(gradient, &view.runs, |_, _, at, gradient| {
             gradient.iter_mut().zip(&view.transmittance[at]).for_each(|(g, &t)| *g *= t);

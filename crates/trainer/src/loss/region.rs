@@ -21,12 +21,12 @@ pub(super) struct Spans {
 
 impl Spans {
     /// Spans of band `band`, left to right.
-    pub fn of(&self, band: usize) -> &[Span] {
+    pub(crate) fn of(&self, band: usize) -> &[Span] {
         &self.all[self.starts[band]..self.starts[band + 1]]
     }
 
     /// Fills the list for a region of an image.
-    pub fn collect(&mut self, size: ImageSize, region: LossRegion) {
+    pub(crate) fn collect(&mut self, size: ImageSize, region: LossRegion) {
         self.all.clear();
         self.starts.clear();
         self.starts.push(0);

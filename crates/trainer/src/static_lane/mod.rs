@@ -20,12 +20,12 @@ pub struct Photographed<'a> {
     pub sky: &'a SkyCube,
 }
 
-/// Contributors kept a pixel where memory allows; more gain nothing (docs/adr/0007).
+/// Contributors kept per pixel where memory allows; more gain nothing (docs/adr/0007).
 const MOST_CONTRIBUTORS: usize = 16;
 /// With fewer the model is too coarse to be solved.
 const FEWEST_CONTRIBUTORS: usize = 4;
 
-/// Contributors a pixel that the memory allows.
+/// Contributors per pixel that the memory allows.
 fn contributors(config: &BackgroundConfig, views: &[TrainingView]) -> usize {
     let pixels: usize = views.iter().map(|v| v.camera.size().pixels()).sum();
     let bytes = pixels.max(1) * size_of::<trace::Contribution>();

@@ -1,4 +1,4 @@
-//! One linear least-squares problem a frame (docs/adr/0007): with geometry and opacity frozen, pixel =
+//! One linear least-squares problem per frame (docs/adr/0007): with geometry and opacity frozen, pixel =
 //! sum of weight * (basis . SH), so the best colours are found by preconditioned conjugate gradients over all views
 //! at once instead of hundreds of steps of one view each.
 //!

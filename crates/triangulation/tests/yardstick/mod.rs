@@ -3,7 +3,7 @@ use ffgs_triangulation::{TriangulationConfig, Triangulator, WeightedRays};
 use glam::{DMat3, DVec2, DVec3};
 
 /// A triangulation problem with known truth.
-pub struct Problem {
+pub(crate) struct Problem {
     pub previous: Vec<DVec3>,
     pub truth: Vec<DVec3>,
     pub cameras: Vec<Camera>,
@@ -14,7 +14,7 @@ pub struct Problem {
 
 /// Errors against the maximum-likelihood estimate on the true inliers.
 #[derive(Debug)]
-pub struct Verdict {
+pub(crate) struct Verdict {
     /// Ratio of the median errors.
     pub median: f64,
     /// Ratio of the 90th percentiles.
@@ -25,14 +25,14 @@ pub struct Verdict {
     pub missed: f64,
 }
 
-pub fn run(problem: &Problem, config: TriangulationConfig) -> Estimates {
+pub(crate) fn run(problem: &Problem, config: TriangulationConfig) -> Estimates {
     let mut out = Estimates::default();
     let Problem { previous, cameras, observations, .. } = problem;
     WeightedRays { config }.triangulate(previous, cameras, observations, &mut out).unwrap();
     out
 }
 
-pub fn judge(problem: &Problem, config: TriangulationConfig) -> Verdict {
+pub(crate) fn judge(problem: &Problem, config: TriangulationConfig) -> Verdict {
     let out = run(problem, config);
     let n = problem.previous.len();
     let (mut own, mut best, mut nees, mut missed) = (Vec::new(), Vec::new(), Vec::new(), 0);
