@@ -1,5 +1,5 @@
 use crate::Cause;
-use std::io::Read;
+use std::io::{self, ErrorKind, Read};
 
 /// numpy's own headers are below 64 KiB; longer ones are damaged or hostile.
 const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -26,7 +26,7 @@ impl Header {
     /// Reads magic, version, length and dictionary; leaves the reader at the data.
     pub(crate) fn read(reader: &mut impl Read) -> Result<Self, Cause> {
         let mut start = [0; 8];
-        reader.read_exact(&mut start).map_err(|_| Cause::Header("shorter than 8 bytes".into()))?;
+        reader.read_exact(&mut start).map_err(|error| unread(error, "shorter than 8 bytes"))?;
         if &start[..6] != b"\x93NUMPY" {
             return Err(Cause::Header("the magic bytes are missing".into()));
         }
@@ -35,7 +35,7 @@ impl Header {
             return Err(Cause::Header(format!("length {length} is not plausible")));
         }
         let mut text = vec![0; length];
-        reader.read_exact(&mut text).map_err(|_| Cause::Header("truncated".into()))?;
+        reader.read_exact(&mut text).map_err(|error| unread(error, "truncated"))?;
         Self::parse(&String::from_utf8_lossy(&text).replace('"', "'"))
     }
 
@@ -63,6 +63,11 @@ impl Dtype {
     }
 }
 
+/// A file that ends too early is damaged; one that the system cannot read may be sound.
+fn unread(error: io::Error, damage: &str) -> Cause {
+    if error.kind() == ErrorKind::UnexpectedEof { Cause::Header(damage.into()) } else { Cause::Io(error) }
+}
+
 fn read_length(reader: &mut impl Read, version: u8) -> Result<usize, Cause> {
     let mut bytes = [0; 4];
     let count = match version {
@@ -70,7 +75,7 @@ fn read_length(reader: &mut impl Read, version: u8) -> Result<usize, Cause> {
         2 | 3 => 4,
         v => return Err(Cause::Header(format!("version {v} is unknown"))),
     };
-    reader.read_exact(&mut bytes[..count]).map_err(|_| Cause::Header("truncated".into()))?;
+    reader.read_exact(&mut bytes[..count]).map_err(|error| unread(error, "truncated"))?;
     Ok(u32::from_le_bytes(bytes) as usize)
 }
 
@@ -83,4 +88,30 @@ fn parse_shape(text: &str) -> Option<Vec<usize>> {
     let inside = text.strip_prefix('(')?.split_once(')')?.0;
     let axes = inside.split(',').map(|axis| axis.trim().trim_end_matches('L'));
     axes.filter(|axis| !axis.is_empty()).map(|axis| axis.parse().ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk that gives some bytes and then fails.
+    struct Failing<'a>(&'a [u8]);
+
+    impl Read for Failing<'_> {
+        fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+            if self.0.is_empty() { Err(io::Error::other("broken disk")) } else { self.0.read(out) }
+        }
+    }
+
+    #[test]
+    fn a_disk_that_fails_is_not_taken_for_a_damaged_file() {
+        let start = b"\x93NUMPY\x01\x00\x76\x00{'descr'";
+        for length in [0, 6, 8, 9, 10, 15] {
+            let error = |cause: Result<Header, Cause>| cause.unwrap_err().to_string();
+            let failed = error(Header::read(&mut Failing(&start[..length])));
+            assert_eq!(failed, "broken disk", "after {length} bytes");
+            let ended = error(Header::read(&mut &start[..length]));
+            assert!(ended.contains("not a readable npy header"), "after {length} bytes: {ended}");
+        }
+    }
 }

@@ -4,7 +4,7 @@ use crate::error::TracksError;
 use crate::flow::RawFlow;
 use ffgs_core::{ImageSize, open_input};
 use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
-use std::io::{BufReader, Read};
+use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
 
 /// "PIEH", the f32 202021.25 in little-endian order.
@@ -42,7 +42,10 @@ fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
     let fail = |reason: String| TracksError::Flow { file: file.to_owned(), reason };
     let mut reader = BufReader::new(open_input(file).map_err(io)?);
     let mut header = [0; HEADER_BYTES];
-    reader.read_exact(&mut header).map_err(|_| fail("shorter than its header".into()))?;
+    reader.read_exact(&mut header).map_err(|error| match error.kind() {
+        ErrorKind::UnexpectedEof => fail("shorter than its header".into()),
+        _ => io(error),
+    })?;
     if header[..4] != MAGIC {
         return Err(fail("the magic bytes 'PIEH' are missing".into()));
     }
