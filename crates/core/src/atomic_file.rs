@@ -2,6 +2,9 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::Path;
 
+/// Bytes between two calls to the system: splats and states are megabytes.
+const BUFFER: usize = 1 << 18;
+
 /// Writes `path` through a temporary file beside it and a rename, so that a reader (or a resumed run) sees the
 /// whole file or none, after a power failure too: the file, its name and new folders are on the disk when this returns,
 /// where the system can say so. Missing parent folders are created. On an error the temporary file is removed.
@@ -61,7 +64,7 @@ fn write_and_sync<E: From<io::Error>>(
     temporary: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut writer = BufWriter::new(File::create(temporary)?);
+    let mut writer = BufWriter::with_capacity(BUFFER, File::create(temporary)?);
     write(&mut writer)?;
     writer.flush()?;
     writer.get_ref().sync_data()?;
