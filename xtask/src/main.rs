@@ -5,6 +5,7 @@ mod ci;
 mod compare;
 mod ffgs;
 mod fixtures;
+mod fuzz;
 mod monaco;
 mod players;
 mod setup;
@@ -97,6 +98,11 @@ enum Command {
         #[command(flatten)]
         options: torture::Options,
     },
+    /// Run every parser under libFuzzer and AddressSanitizer; needs a nightly compiler and cargo-fuzz.
+    Fuzz {
+        #[command(flatten)]
+        options: fuzz::Options,
+    },
     #[command(external_subcommand)]
     Ffgs(Vec<String>),
 }
@@ -179,6 +185,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Supply { sbom } => println!("{}", supply::run(&root, sbom.as_deref())?),
         #[cfg(unix)]
         Command::Torture { options } => torture::run(&root, &options)?,
+        Command::Fuzz { options } => fuzz::run(&root, &options)?,
         Command::Ci { only } => ci::run(&root, &only)?,
     }
     Ok(ExitCode::SUCCESS)

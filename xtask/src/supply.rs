@@ -6,6 +6,8 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+/// The package of the program.
+const PROGRAM: &str = "ffgs-pipeline";
 /// Says why each direct dependency is there.
 const REASONS: &str = "docs/DEPENDENCIES.md";
 
@@ -75,28 +77,45 @@ fn checksums(lock: &str) -> Result<BTreeMap<(String, String), String>> {
     Ok(packages.iter().filter_map(entry).collect())
 }
 
-/// CycloneDX 1.5: name, version, licence, archive's hash and package URL of each package.
+/// CycloneDX 1.5: name, version, licence, archive's hash and package URL of each package, and which needs which.
 fn bill(metadata: &Value, checksums: &BTreeMap<(String, String), String>) -> Value {
+    let text = |package: &Value, key: &str| package[key].as_str().unwrap_or_default().to_owned();
     let component = |package: &Value| {
-        let text = |key: &str| package[key].as_str().unwrap_or_default().to_owned();
-        let (name, version) = (text("name"), text("version"));
+        let (name, version) = (text(package, "name"), text(package, "version"));
         let hash = checksums.get(&(name.clone(), version.clone()));
         json!({
             "type": "library",
+            "bom-ref": package["id"],
             "name": name,
             "version": version,
             "purl": format!("pkg:cargo/{name}@{version}"),
-            "licenses": [{ "expression": text("license").replace('/', " OR ") }],
+            "licenses": [{ "expression": text(package, "license").replace('/', " OR ") }],
             "hashes": hash.map(|hash| json!({ "alg": "SHA-256", "content": hash })).into_iter().collect::<Vec<_>>(),
         })
     };
+    let version = packages(metadata).find(|package| package["name"] == PROGRAM).map(|p| text(p, "version"));
     json!({
         "bomFormat": "CycloneDX",
         "specVersion": "1.5",
         "version": 1,
-        "metadata": { "component": { "type": "application", "name": "ffgs" } },
+        "metadata": {
+            "component": { "type": "application", "bom-ref": "ffgs", "name": "ffgs", "version": version.unwrap_or_default() }
+        },
         "components": outside(metadata).map(component).collect::<Vec<_>>(),
+        "dependencies": needs(metadata),
     })
+}
+
+/// What each package needs; the workspace is one application.
+fn needs(metadata: &Value) -> Vec<Value> {
+    let outside: BTreeSet<&str> = outside(metadata).filter_map(|package| package["id"].as_str()).collect();
+    let mut needs: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for node in metadata["resolve"]["nodes"].as_array().into_iter().flatten() {
+        let id = node["id"].as_str().filter(|id| outside.contains(id)).unwrap_or("ffgs");
+        let ids = node["dependencies"].as_array().into_iter().flatten().filter_map(Value::as_str);
+        needs.entry(id).or_default().extend(ids.filter(|id| outside.contains(id)));
+    }
+    needs.into_iter().map(|(id, on)| json!({ "ref": id, "dependsOn": on })).collect()
 }
 
 #[cfg(test)]
@@ -116,14 +135,18 @@ mod tests {
     }
 
     #[test]
-    fn the_bill_names_licence_and_hash() {
+    fn the_bill_names_licence_hash_and_needs() {
         let metadata = json!({ "packages": [
-            { "name": "png", "source": "registry", "version": "1.0.0", "license": "MIT/Apache-2.0" } ] });
+            { "name": "ffgs-pipeline", "id": "own", "source": null, "version": "0.1.0" },
+            { "name": "png", "id": "png", "source": "registry", "version": "1.0.0", "license": "MIT/Apache-2.0" } ],
+            "resolve": { "nodes": [ { "id": "own", "dependencies": ["png", "own"] }, { "id": "png", "dependencies": [] } ] } });
         let lock = "[[package]]\nname = \"png\"\nversion = \"1.0.0\"\nchecksum = \"ab12\"\n";
         let bill = bill(&metadata, &checksums(lock).unwrap());
         let component = &bill["components"][0];
         assert_eq!(component["purl"], "pkg:cargo/png@1.0.0");
         assert_eq!(component["licenses"][0]["expression"], "MIT OR Apache-2.0");
         assert_eq!(component["hashes"][0]["content"], "ab12");
+        assert_eq!(bill["metadata"]["component"]["version"], "0.1.0");
+        assert_eq!(bill["dependencies"][0], json!({ "ref": "ffgs", "dependsOn": ["png"] }));
     }
 }

@@ -1,6 +1,7 @@
 //! One case: its random numbers, its folder, and the program run under limits.
 
-use super::capture::{self, copy_folder, files};
+use super::capture::{self, FRAMES, copy_folder, files};
+use super::circling;
 use super::damage::Random;
 use super::interposer::{Interposer, Told, told};
 use anyhow::{Context, Result, bail, ensure};
@@ -14,8 +15,7 @@ use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
 /// As little training as shows a difference.
-pub(crate) const FEW: [&str; 7] =
-    ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
+pub(crate) const FEW: [&str; 7] = ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
 /// A case that takes more processor time hangs (s).
 const CPU_SECONDS: u64 = 60;
 /// A case that takes more time waits for something that never comes (s); others may be using the machine.
@@ -31,7 +31,7 @@ const SIGXCPU: i32 = 24;
 pub(crate) struct Laboratory {
     /// The repository.
     pub root: PathBuf,
-    /// Calls to the system of the undisturbed run; none where the library is not to be had.
+    /// Calls to the system of the undisturbed run of the smallest capture; none where the library is not to be had.
     pub calls: Told,
     /// Most memory that the undisturbed run held (KiB); 0 where it is not known.
     pub peak: u64,
@@ -41,19 +41,20 @@ pub(crate) struct Laboratory {
 }
 
 impl Laboratory {
-    /// Cuts the capture and makes the run.
+    /// Makes the captures and their runs.
     pub(crate) fn new(root: &Path, program: PathBuf) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let interposer = Interposer::build(folder.path());
         let (root, calls) = (root.to_owned(), Told::new());
         let mut laboratory = Self { root, calls, peak: 0, interposer, program, folder };
         capture::cut(&laboratory.root, &laboratory.capture())?;
+        circling::write(&laboratory.smallest_capture(), FRAMES)?;
         let mut case = Case::new(&laboratory, 0, "reference", 0)?;
-        let (capture, run) = (laboratory.capture(), laboratory.run());
-        let output = case.ffgs(&run_words(&capture, &run, &[]))?;
-        ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
+        undisturbed(&mut case, &laboratory.smallest_capture(), &laboratory.smallest_run())?;
+        let calls = told(&laboratory.report());
+        undisturbed(&mut case, &laboratory.capture(), &laboratory.run())?;
         let peak = case.peak();
-        (laboratory.calls, laboratory.peak) = (told(&laboratory.report()), peak);
+        (laboratory.calls, laboratory.peak) = (calls, peak);
         Ok(laboratory)
     }
 
@@ -63,7 +64,7 @@ impl Laboratory {
     }
 
     /// Where the library between the program and the system writes.
-    fn report(&self) -> PathBuf {
+    pub(crate) fn report(&self) -> PathBuf {
         self.folder.path().join("told")
     }
 
@@ -85,6 +86,22 @@ impl Laboratory {
     pub(crate) fn run(&self) -> PathBuf {
         self.folder.path().join("run")
     }
+
+    /// A computed capture of tiny pictures, for what is done to every call of a run.
+    pub(crate) fn smallest_capture(&self) -> PathBuf {
+        self.folder.path().join("smallest")
+    }
+
+    /// The undisturbed run of it.
+    pub(crate) fn smallest_run(&self) -> PathBuf {
+        self.folder.path().join("smallest-run")
+    }
+}
+
+fn undisturbed(case: &mut Case, capture: &Path, run: &Path) -> Result<()> {
+    let output = case.ffgs(&run_words(capture, run, &[]))?;
+    ensure!(output.status.success(), "the undisturbed run failed: {}", said(&output));
+    Ok(())
 }
 
 /// `run CAPTURE --out OUT`, little training, and more options.
@@ -99,8 +116,6 @@ pub(crate) fn run_words(capture: &Path, out: &Path, more: &[&str]) -> Vec<String
 pub(crate) struct Case<'a> {
     /// What all cases share.
     pub laboratory: &'a Laboratory,
-    /// Seed of the round.
-    pub seed: u64,
     /// Which case of its kind.
     pub number: u64,
     folder: TempDir,
@@ -116,7 +131,7 @@ impl<'a> Case<'a> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let start = kind.bytes().fold(seed, |sum, byte| sum.wrapping_mul(257).wrapping_add(byte.into()));
         let random = Random(start ^ (number as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        Ok(Self { laboratory, seed, number: number as u64, folder, random, peak: Cell::new(0) })
+        Ok(Self { laboratory, number: number as u64, folder, random, peak: Cell::new(0) })
     }
 
     /// Most memory that the program has held in this case (KiB).
@@ -263,12 +278,7 @@ fn forget_times(value: &mut Value) {
     }
 }
 
-/// Refuses a run that differs from the undisturbed one.
-pub(crate) fn equals_undisturbed(laboratory: &Laboratory, run: &Path) -> Result<()> {
-    equal_runs(&laboratory.run(), run, laboratory.no_interposer().is_none()).map(|_| ())
-}
-
-/// Refuses a run that differs from another, its times too when none passed; how many files were compared.
+/// Refuses a run that differs from an undisturbed one, its times too when none passed; how many files were compared.
 pub(crate) fn equal_runs(undisturbed: &Path, run: &Path, no_time: bool) -> Result<usize> {
     let (expected, found) = (results(undisturbed, no_time)?, results(run, no_time)?);
     for (name, bytes) in &expected {

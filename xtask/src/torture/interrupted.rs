@@ -1,6 +1,6 @@
 //! Runs that are stopped or starved: what is finished stays, and the rest is made up for.
 
-use super::case::{Case, equals_undisturbed, judged, run_words, said};
+use super::case::{Case, equal_runs, judged, run_words, said};
 use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 use std::fs;
@@ -47,12 +47,20 @@ fn stop(child: &Child, signal: &str) -> Result<()> {
     Ok(())
 }
 
-/// Resumes without limits and compares.
-pub(crate) fn finish(case: &mut Case, out: &Path) -> Result<()> {
-    let words = run_words(&case.laboratory.capture(), out, &["--resume"]);
-    let output = case.ffgs(&words)?;
+fn finish(case: &mut Case, out: &Path) -> Result<()> {
+    let (capture, whole) = (case.laboratory.capture(), case.laboratory.run());
+    resume_to_equal(case, &capture, &whole, out)
+}
+
+/// Resumes a run of a capture without limits and compares it with one that was never stopped.
+pub(crate) fn resume_to_equal(case: &mut Case, capture: &Path, whole: &Path, out: &Path) -> Result<()> {
+    let output = case.ffgs(&run_words(capture, out, &["--resume"]))?;
     ensure!(output.status.success(), "the resumed run failed: {}", said(&output));
-    equals_undisturbed(case.laboratory, out)
+    equals(case, whole, out)
+}
+
+fn equals(case: &Case, whole: &Path, out: &Path) -> Result<()> {
+    equal_runs(whole, out, case.laboratory.no_interposer().is_none()).map(|_| ())
 }
 
 /// A frame that has a state has its numbers, and JSON files are whole.
@@ -107,5 +115,5 @@ pub(crate) fn concurrent(case: &mut Case) -> Result<()> {
     let seed = serde_json::from_str::<Value>(&text)?["config"]["seed"].as_u64();
     let first = ended[0].status.success();
     ensure!(seed == Some(if first { 1 } else { 2 }), "run.json is of seed {seed:?}");
-    if first { equals_undisturbed(case.laboratory, &out) } else { Ok(()) }
+    if first { equals(case, &case.laboratory.run(), &out) } else { Ok(()) }
 }

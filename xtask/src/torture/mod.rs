@@ -19,8 +19,10 @@ mod mutation;
 use crate::{ffgs, workspace};
 use anyhow::{Context, Result, ensure};
 use case::{Case, Laboratory};
+use interposer::Told;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// What to torture, and for how long.
@@ -38,6 +40,9 @@ pub(crate) struct Options {
     /// Cases of each kind a round instead of the usual number
     #[arg(long, value_name = "N")]
     cases: Option<usize>,
+    /// Every call of `calls` and `io-errors` in turn, instead of some of them
+    #[arg(long, conflicts_with_all = ["cases", "case"])]
+    sweep: bool,
     /// Only this case of each kind
     #[arg(long, value_name = "N")]
     case: Option<usize>,
@@ -50,11 +55,14 @@ pub(crate) struct Options {
     /// The few cases of CI
     #[arg(skip)]
     in_ci: bool,
+    /// Which of the samples of calls comes first
+    #[arg(skip)]
+    turn: u64,
 }
 
 impl Options {
-    /// The round of CI.
-    pub(crate) fn ci(profile: &str) -> Self {
+    /// The round of CI; each turn takes other calls.
+    pub(crate) fn ci(profile: &str, turn: u64) -> Self {
         Self {
             seed: 1,
             minutes: 0,
@@ -63,7 +71,9 @@ impl Options {
             case: None,
             profile: profile.to_owned(),
             program: None,
+            sweep: false,
             in_ci: true,
+            turn,
         }
     }
 
@@ -71,10 +81,23 @@ impl Options {
         if self.only.is_empty() { name != LONG } else { self.only.iter().any(|only| only == name) }
     }
 
-    fn cases(&self, kind: &Kind) -> std::ops::Range<usize> {
-        let usual = if self.in_ci { kind.in_ci } else { kind.by_hand };
-        self.case.map_or(0..self.cases.unwrap_or(usual), |case| case..case + 1)
+    /// The numbers of a round's cases.
+    fn cases(&self, kind: &Kind, round: u64, calls: &Told) -> Vec<usize> {
+        let count = self.cases.unwrap_or(if self.in_ci { kind.in_ci } else { kind.by_hand });
+        match (self.case, kind.every) {
+            (Some(case), _) => vec![case],
+            (None, None) => (0..count).collect(),
+            (None, Some(every)) if self.sweep => (0..every(calls) as usize).collect(),
+            (None, Some(every)) => sample(every(calls), count as u64, self.seed + self.turn + round),
+        }
     }
+}
+
+/// So many of `total` cases, far from one another; successive rounds go through all of them.
+fn sample(total: u64, count: u64, round: u64) -> Vec<usize> {
+    // A prime that divides no number of calls of a short run.
+    const STRIDE: u64 = 7919;
+    (0..count.min(total)).map(|i| ((round * count + i) % total * STRIDE % total) as usize).collect()
 }
 
 /// What a case of a kind does; an error says what is wrong with the program.
@@ -88,16 +111,24 @@ struct Kind {
     /// Cases of a round by hand.
     by_hand: usize,
     torment: Torment,
+    /// How many different cases there are when they do not follow from the seed.
+    every: Option<fn(&Told) -> u64>,
 }
 
 const fn kind(name: &'static str, in_ci: usize, by_hand: usize, torment: Torment) -> Kind {
-    Kind { name, in_ci, by_hand, torment }
+    Kind { name, in_ci, by_hand, torment, every: None }
+}
+
+impl Kind {
+    const fn of(self, every: fn(&Told) -> u64) -> Self {
+        Self { every: Some(every), ..self }
+    }
 }
 
 const KINDS: [Kind; 17] = [
     kind("kills", 2, 6, interrupted::killed),
-    kind("calls", 2, injected::CALLS_A_ROUND, injected::killed_at_calls),
-    kind("io-errors", 2, 8, injected::failing_calls),
+    kind("calls", 2, 4, injected::killed_at_calls).of(injected::kills),
+    kind("io-errors", 3, 8, injected::failing_calls).of(injected::faults),
     kind("signals", 1, 2, interrupted::signalled),
     kind("file-size", 1, 4, interrupted::short_of_disk),
     kind("memory", 1, 3, interrupted::short_of_memory),
@@ -119,8 +150,6 @@ const LONG: &str = "long";
 const SETTINGS: &str = "settings";
 /// Most memory of any case, in that of the undisturbed run: no damage to a file of that size may cost more.
 const MOST_MEMORY: u64 = 2;
-/// Kinds that need the library between the program and the system.
-const INJECTED: [&str; 2] = ["calls", "io-errors"];
 
 /// Cases and failures of a kind.
 #[derive(Default)]
@@ -130,6 +159,13 @@ struct Count {
     seconds: f64,
     /// Most memory that the program held (KiB), where it is known.
     peak: u64,
+}
+
+/// How many commits led here, so that each takes another sample of the calls; 0 where git does not say.
+pub(crate) fn turn(root: &Path) -> u64 {
+    let count = Command::new("git").args(["rev-list", "--count", "HEAD"]).current_dir(root).output();
+    let text = count.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
+    text.ok().and_then(|text| text.trim().parse().ok()).unwrap_or(0)
 }
 
 /// Runs rounds of all kinds, prints each failure with its reproduction and a table of counts.
@@ -142,13 +178,14 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
         None => ffgs::build_in(root, &options.profile)?,
     };
     let laboratory = Laboratory::new(root, program)?;
+    println!("calls of the undisturbed run: {:?}", laboratory.calls);
     if let Some(reason) = laboratory.no_interposer() {
-        println!("skipped {}: {reason}", INJECTED.join(", "));
+        println!("skipped calls, io-errors: {reason}");
     }
     let kept = workspace::target(root).join("torture");
     let (start, mut counts) = (Instant::now(), BTreeMap::new());
     for round in 0.. {
-        torment(&laboratory, options, options.seed + round, &kept, &mut counts)?;
+        torment(&laboratory, options, round, &kept, &mut counts)?;
         if start.elapsed() >= Duration::from_secs(60 * options.minutes) {
             break;
         }
@@ -165,16 +202,18 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 fn torment(
     laboratory: &Laboratory,
     options: &Options,
-    seed: u64,
+    round: u64,
     kept: &Path,
     counts: &mut BTreeMap<&'static str, Count>,
 ) -> Result<()> {
-    let possible = |name: &str| laboratory.no_interposer().is_none() || !INJECTED.contains(&name);
-    for kind in KINDS.iter().filter(|kind| options.wants(kind.name) && possible(kind.name)) {
+    let seed = options.seed + round;
+    let possible = |kind: &&Kind| laboratory.no_interposer().is_none() || kind.every.is_none();
+    let swept = |kind: &&Kind| !options.sweep || kind.every.is_some();
+    for kind in KINDS.iter().filter(|kind| options.wants(kind.name)).filter(possible).filter(swept) {
         let name = kind.name;
         let count = counts.entry(name).or_default();
         let start = Instant::now();
-        for number in options.cases(kind) {
+        for number in options.cases(kind, round, &laboratory.calls) {
             let mut case = Case::new(laboratory, seed, name, number)?;
             count.cases += 1;
             let ended = (kind.torment)(&mut case).and_then(|()| within_memory(&case, name));
@@ -213,4 +252,20 @@ fn table(counts: &BTreeMap<&str, Count>) -> String {
         )
     };
     counts.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn samples_of_successive_rounds_go_through_every_case() {
+        for (total, count) in [(107_u64, 3), (582, 2), (5, 8)] {
+            let rounds = total.div_ceil(count.min(total));
+            let met: BTreeSet<usize> =
+                (7..7 + rounds).flat_map(|round| sample(total, count, round)).collect();
+            assert_eq!(met.len() as u64, total, "{total} by {count}");
+        }
+    }
 }
