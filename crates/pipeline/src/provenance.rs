@@ -50,7 +50,7 @@ pub(crate) fn frame_digest(capture: &dyn Capture, views: &[usize], frame: usize)
     }
     let mut sums: Vec<_> = shots.par_iter().map(|&at| shot_checksum(capture, at)).collect::<Result<_>>()?;
     for file in track_files(capture, views, frame)? {
-        sums.push(checksum(&file).with_context(|| format!("cannot read {}", file.display()))?);
+        sums.push(checksum(&file)?);
     }
     let all: Vec<u8> =
         sums.iter().flat_map(|(sum, bytes)| format!("{sum:08x} {bytes}\n").into_bytes()).collect();
@@ -71,7 +71,7 @@ fn track_files(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<V
 fn shot_checksum(capture: &dyn Capture, at: ViewAt) -> Result<(u32, u64)> {
     let mut hasher = Hasher::new();
     let bytes = if let Some(file) = capture.image_file(at) {
-        let (sum, bytes) = checksum(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let (sum, bytes) = checksum(&file)?;
         hasher.update(&sum.to_le_bytes());
         bytes
     } else {
@@ -86,7 +86,11 @@ fn shot_checksum(capture: &dyn Capture, at: ViewAt) -> Result<(u32, u64)> {
 }
 
 /// CRC-32 and length of a file; zeros for one that is not there.
-fn checksum(file: &Path) -> io::Result<(u32, u64)> {
+fn checksum(file: &Path) -> Result<(u32, u64)> {
+    checksum_of(file).with_context(|| format!("cannot read {}", file.display()))
+}
+
+fn checksum_of(file: &Path) -> io::Result<(u32, u64)> {
     let mut opened = match open_input(file) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok((0, 0)),
         opened => opened?,
@@ -114,5 +118,7 @@ mod tests {
         // The check value of the catalogue of CRC algorithms.
         std::fs::write(&file, "123456789").unwrap();
         assert_eq!(checksum(&file).unwrap(), (0xCBF4_3926, 9));
+        let told = format!("{:#}", checksum(folder.path()).unwrap_err());
+        assert!(told.contains(&folder.path().display().to_string()), "{told}");
     }
 }

@@ -1,7 +1,7 @@
 //! A capture of any length whose pictures, masks, points and motion are computed: a disc that circles before a wall, seen by
 //! cameras side by side. Small, so that a run of hundreds of frames takes a minute.
 
-use super::mutation::crc32;
+use super::checksum::crc32;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::fs;

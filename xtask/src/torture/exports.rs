@@ -2,8 +2,8 @@
 
 use super::capture::copy_folder;
 use super::case::{Case, names_a_file, said};
+use super::checksum::crc32;
 use super::inputs::{change, damaged_file_of_run, stays_inside};
-use super::mutation::crc32;
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::{Value, json};
 use std::fs;

@@ -2,8 +2,9 @@
 
 use super::capture::files;
 use super::case::{Case, names_a_file, run_words, said};
+use super::checksum::crc32;
 use super::damage::damage;
-use super::mutation::{crc32, damage_file, odd_value};
+use super::mutation::{damage_file, odd_value};
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 use std::fs;

@@ -4,6 +4,7 @@
 
 mod capture;
 mod case;
+mod checksum;
 mod circling;
 #[path = "../../../fuzz/damage.rs"]
 mod damage;
