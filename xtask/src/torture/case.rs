@@ -15,7 +15,8 @@ use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
 /// As little training as shows a difference.
-pub(crate) const FEW: [&str; 7] = ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
+pub(crate) const FEW: [&str; 7] =
+    ["--first-iterations", "4", "--iterations", "3", "--device", "cpu", "--quiet"];
 /// A case that takes more processor time hangs (s).
 const CPU_SECONDS: u64 = 60;
 /// A case that takes more time waits for something that never comes (s); others may be using the machine.
