@@ -1,11 +1,9 @@
-use ffgs_core::{Gaussians, Mask, PlanarImage, SkyCube, TrainingView};
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
-};
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    Adam, Epochs, LearningRates, LossRegion, PhotometricLoss, SkyView, TILE_DILATION, Update, decay,
+    Around, Columns, LayerTask, LayerTraining, LearningRates, Schedule, TILE_DILATION, TaskView, TrainBackend, decay,
 };
-use std::ops::Range;
+use std::sync::Arc;
 
 /// How exports are finetuned. Positions and rotations stay: they hold the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,87 +50,52 @@ impl FinetuneConfig {
 /// Pixels by which masks are grown for the loss, so that outlines are learnt from both sides.
 const LOSS_DILATION: usize = 2;
 
-/// Fits the Gaussians in `range` to the photographs, without compensation, in front of `sky`. Where the range is not all
-/// of them only the neighbourhood of the foreground counts. Equal inputs and seeds give equal bytes.
-pub fn finetune(
+/// Fits the Gaussians from number `first` on to the photographs, without compensation, in front of `sky`; those before it are
+/// drawn and stay. Where some stay only the neighbourhood of the foreground counts. Equal inputs and seeds give equal
+/// bytes.
+///
+/// # Errors
+/// When the device fails or has too little memory; `gaussians` are then as they were.
+pub fn finetune<B: TrainBackend>(
+    backend: &B,
     gaussians: &mut Gaussians,
-    range: Range<usize>,
+    first: usize,
     views: &[TrainingView],
     sky: &SkyCube,
     config: &FinetuneConfig,
     seed: u64,
-) {
-    let whole = range.len() == gaussians.len();
-    let targets: Vec<Target> = views.iter().filter_map(|view| Target::new(view, whole)).collect();
-    let mut epochs = Epochs::new((0..targets.len()).collect(), seed);
-    let mut steps = Steps::new(gaussians, range, sky);
-    for iteration in 0..config.iterations {
-        if let Some(target) = epochs.draw() {
-            steps.step(gaussians, &targets[target], &config.rates(iteration));
-        }
-    }
+) -> Result<(), B::Error> {
+    let views: Vec<TaskView> = views.iter().filter_map(|view| task_view(view, first == 0)).collect();
+    let schedule = Schedule {
+        iterations: config.iterations,
+        seed,
+        sh_degree: &|_| None,
+        rates: &|iteration| config.rates(iteration),
+    };
+    let count = views.len();
+    let mut layer = Arc::new(std::mem::take(gaussians));
+    let task = LayerTask {
+        columns: Columns::IN_PLACE,
+        antialiased: false,
+        fixed: first,
+        ..LayerTask::new(&mut layer, views, Around::Sky(sky))
+    };
+    let trained = backend.upload_layer(task).and_then(|mut training| {
+        schedule.run(&mut training, count, &mut |_, _| Ok(()), &mut |_| {})?;
+        training.download()
+    });
+    *gaussians = Arc::unwrap_or_clone(layer);
+    trained
 }
 
 /// A photograph and which of it counts: everything, or what is near the foreground.
-struct Target<'a> {
-    view: &'a TrainingView,
-    region: Option<(Mask, TileMask)>,
-}
-
-impl<'a> Target<'a> {
-    fn new(view: &'a TrainingView, whole: bool) -> Option<Self> {
-        let near =
-            || (view.mask.dilated(LOSS_DILATION), TileMask::covering(&view.mask.dilated(TILE_DILATION)));
-        match (whole, view.mask.count()) {
-            (true, _) => Some(Self { view, region: None }),
-            (false, 0) => None,
-            (false, _) => Some(Self { view, region: Some(near()) }),
-        }
+fn task_view(view: &TrainingView, whole: bool) -> Option<TaskView<'_>> {
+    if whole {
+        return Some(TaskView { view, region: None, tiles: None });
     }
-}
-
-struct Steps<'a> {
-    range: Range<usize>,
-    sky: &'a SkyCube,
-    rasterizer: CpuRasterizer,
-    adam: Adam,
-    tape: RenderTape,
-    loss: PhotometricLoss,
-    gradients: Gradients,
-    behind: PlanarImage,
-    pixel_gradient: PlanarImage,
-}
-
-impl<'a> Steps<'a> {
-    fn new(gaussians: &Gaussians, range: Range<usize>, sky: &'a SkyCube) -> Self {
-        let nothing = PlanarImage::zeros(ffgs_core::ImageSize { width: 1, height: 1 });
-        Self {
-            range,
-            sky,
-            rasterizer: CpuRasterizer::new(RenderOptions { antialiased: false, sh_degree: None }),
-            adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
-            tape: RenderTape::default(),
-            loss: PhotometricLoss::new(),
-            gradients: Gradients::default(),
-            behind: nothing.clone(),
-            pixel_gradient: nothing,
-        }
-    }
-
-    fn step(&mut self, gaussians: &mut Gaussians, target: &Target, rates: &LearningRates) {
-        let camera = &target.view.camera;
-        SkyView::new(camera, self.sky.face_size()).render(self.sky, &mut self.behind);
-        let tiles = target.region.as_ref().map(|(_, tiles)| tiles);
-        let view = View { camera, background: Background::Image(&self.behind), tiles };
-        self.rasterizer.render(gaussians, &view, &mut self.tape);
-        let region = target.region.as_ref().map_or(LossRegion::Full, |(mask, _)| LossRegion::Mask(mask));
-        self.loss.evaluate(self.tape.image(), &target.view.image, region, &mut self.pixel_gradient);
-        self.gradients.reset(gaussians.len(), gaussians.sh_degree());
-        let upstream = PixelGradients { image: &self.pixel_gradient, transmittance: None };
-        self.rasterizer.backward(gaussians, &view, &mut self.tape, &upstream, &mut self.gradients);
-        let touched = &mut self.gradients.touched;
-        touched[..self.range.start].fill(false);
-        touched[self.range.end..].fill(false);
-        self.adam.step(gaussians, &self.gradients.gaussians, rates, Update::Touched(touched));
-    }
+    (view.mask.count() > 0).then(|| TaskView {
+        view,
+        region: Some(view.mask.dilated(LOSS_DILATION)),
+        tiles: Some(TileMask::covering(&view.mask.dilated(TILE_DILATION))),
+    })
 }

@@ -6,6 +6,7 @@ use anyhow::Result;
 use ffgs_bake::{FinetuneConfig, conserve_weight, finetune};
 use ffgs_core::{Camera, Gaussians, Scene, TrainingView};
 use ffgs_method::{Split, ViewAt};
+use ffgs_trainer::CpuBackend;
 
 /// The share of the first frame's steps that a later frame takes: only the dynamic layer is fitted there.
 const LATER_SHARE: usize = 3;
@@ -54,7 +55,8 @@ impl<'a> Baker<'a> {
         conserve_weight(&mut joint, range.clone(), &cameras(&views));
         let config =
             FinetuneConfig { iterations: self.iterations / LATER_SHARE, ..FinetuneConfig::default() };
-        finetune(&mut joint, range, &views, &scene.sky, &config, frame as u64);
+        let Ok(()) =
+            finetune(&CpuBackend, &mut joint, range.start, &views, &scene.sky, &config, frame as u64);
         Ok(joint)
     }
 
@@ -65,7 +67,7 @@ impl<'a> Baker<'a> {
         let views = self.views(self.first)?;
         conserve_weight(&mut joint, all.clone(), &cameras(&views));
         let config = FinetuneConfig { iterations: self.iterations, ..FinetuneConfig::default() };
-        finetune(&mut joint, all, &views, &scene.sky, &config, self.first as u64);
+        let Ok(()) = finetune(&CpuBackend, &mut joint, 0, &views, &scene.sky, &config, self.first as u64);
         let indices: Vec<usize> = (0..scene.static_layer.len()).collect();
         let baked = joint.select(&indices);
         let colours = baked.sh.iter().zip(&scene.static_layer.sh);

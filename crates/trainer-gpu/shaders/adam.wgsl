@@ -9,7 +9,8 @@ struct Adam {
     items: u32,
     width: u32,
     stamp: u32,
-    padding: u32,
+    // Items at the front that stay.
+    fixed: u32,
     // Step size per value of an item; 0 leaves the value and its moments alone.
     rates: array<vec4f, 12>,
 }
@@ -31,7 +32,7 @@ fn adam(
 ) {
     let at = linear_group(group, groups) * 256u + local;
     let item = at / adam_step.width;
-    if item >= adam_step.items {
+    if item >= adam_step.items || item < adam_step.fixed {
         return;
     }
     let column = at % adam_step.width;

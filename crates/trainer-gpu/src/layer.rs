@@ -19,6 +19,7 @@ pub struct GpuLayer<'a> {
     device: &'a SceneDevice,
     layer: &'a mut Arc<Gaussians>,
     columns: Columns,
+    options: RenderOptions,
     targets: Vec<Target>,
     around: Surroundings<'a>,
     prior: Option<GpuPrior>,
@@ -34,11 +35,11 @@ pub struct GpuLayer<'a> {
 
 impl<'a> GpuLayer<'a> {
     pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
-        let LayerTask { layer, columns, views, around, prior, .. } = task;
+        let LayerTask { layer, columns, views, around, prior, antialiased, fixed, .. } = task;
         let gpu = &device.gpu;
         let mut workspace = Workspace::new(gpu, layer.len(), largest_view(&views))?;
         let targets = targets(&around, &workspace, &views)?;
-        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?;
+        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?.keeping(fixed);
         let seen = gpu.buffer("views of each Gaussian", optimiser.scene.count as u64 * 4)?;
         let around = match around {
             Around::Sky(sky) => Surroundings::Sky(GpuSky::fixed(gpu, sky)?),
@@ -61,6 +62,7 @@ impl<'a> GpuLayer<'a> {
         let mut training = Self {
             device,
             columns,
+            options: RenderOptions { antialiased, ..OPTIONS },
             around,
             prior,
             layer,
@@ -76,7 +78,7 @@ impl<'a> GpuLayer<'a> {
     }
 
     fn fit(&mut self) -> Result<(), GpuError> {
-        self.workspace.fit(&self.optimiser.scene, &self.targets, OPTIONS)
+        self.workspace.fit(&self.optimiser.scene, &self.targets, self.options)
     }
 
     /// The commands of the step at hand.
@@ -105,7 +107,7 @@ impl<'a> GpuLayer<'a> {
 
 /// The layer as training finds it: columns that do not move are shared with what the device keeps.
 fn start(device: &SceneDevice, layer: &Arc<Gaussians>, columns: Columns) -> Result<GpuScene, GpuError> {
-    if columns.geometry {
+    if columns.geometry() {
         return GpuScene::upload(&device.gpu, layer);
     }
     let kept = device.layer(layer)?;
@@ -139,7 +141,7 @@ impl LayerTraining for GpuLayer<'_> {
         let mut commands = self.recording();
         let Self { workspace, optimiser, targets, .. } = self;
         let (scene, target) = (&optimiser.scene, &targets[view]);
-        let options = RenderOptions { sh_degree, ..OPTIONS };
+        let options = RenderOptions { sh_degree, ..self.options };
         prepare(workspace.gpu, scene, &target.view, &workspace.scratch, options, self.stamp);
         self.around.draw(&mut commands, target);
         render(&mut commands, scene, &target.view, &workspace.scratch);
@@ -193,7 +195,8 @@ impl LayerTraining for GpuLayer<'_> {
         }
         self.workspace.grow()?;
         let scene = start(self.device, self.layer, self.columns)?;
-        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?;
+        let fixed = self.optimiser.fixed;
+        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?.keeping(fixed);
         self.stamp = 0;
         self.fit()?;
         Ok(true)
@@ -205,7 +208,7 @@ impl LayerTraining for GpuLayer<'_> {
         let trained = optimiser.download()?;
         around.download(&device.gpu)?;
         *layer = Arc::new(trained);
-        if !columns.geometry {
+        if !columns.geometry() {
             device.keep(layer, optimiser.scene);
         }
         device.gpu.release_unused();

@@ -21,7 +21,8 @@ pub(crate) struct AdamUniform {
     pub items: u32,
     pub width: u32,
     pub stamp: u32,
-    pub padding: u32,
+    /// Items at the front that stay.
+    pub fixed: u32,
     pub rates: [[f32; 4]; 12],
 }
 

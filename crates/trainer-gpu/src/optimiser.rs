@@ -23,13 +23,15 @@ pub(crate) struct Optimiser<'a> {
     geometry_step: Buffer,
     sh_step: Buffer,
     columns: Columns,
+    /// Gaussians at the front that stay.
+    pub(crate) fixed: usize,
 }
 
 /// Zeros for the columns that move.
 fn moments(gpu: &Gpu, scene: &GpuScene, columns: Columns) -> Result<GpuScene, GpuError> {
     let bytes = |moves: bool, column: &Buffer| if moves { column.bytes() } else { 0 };
     Ok(GpuScene {
-        geometry: gpu.buffer("moments", bytes(columns.geometry, &scene.geometry))?,
+        geometry: gpu.buffer("moments", bytes(columns.geometry(), &scene.geometry))?,
         sh: gpu.buffer("moments", bytes(columns.colours, &scene.sh))?,
         ..scene.clone()
     })
@@ -40,6 +42,7 @@ impl<'a> Optimiser<'a> {
     pub(crate) fn new(gpu: &'a Gpu, scene: GpuScene, columns: Columns) -> Result<Self, GpuError> {
         Ok(Self {
             gpu,
+            fixed: 0,
             gradients: GpuGradients::new(gpu, &scene, false)?,
             first: moments(gpu, &scene, columns)?,
             second: moments(gpu, &scene, columns)?,
@@ -49,6 +52,11 @@ impl<'a> Optimiser<'a> {
             sh_step: gpu.uniform("Adam", &AdamUniform::default())?,
             scene,
         })
+    }
+
+    /// Leaves the first `fixed` Gaussians as they are.
+    pub(crate) fn keeping(self, fixed: usize) -> Self {
+        Self { fixed, ..self }
     }
 
     /// Factors of the moments by number of steps.
@@ -67,7 +75,7 @@ impl<'a> Optimiser<'a> {
             items,
             width: width as u32,
             stamp,
-            padding: 0,
+            fixed: self.fixed as u32,
             rates: std::array::from_fn(|row| {
                 std::array::from_fn(|k| if row * 4 + k < width { rate(row * 4 + k) } else { 0.0 })
             }),
@@ -86,7 +94,7 @@ impl<'a> Optimiser<'a> {
         let ledger = [&gradients.ledger, &self.corrections];
         let columns = |step, gradient, p, m, v| [step, ledger[0], ledger[1], gradient, p, m, v];
         let (g, n) = (&gradients.scene, scene.count);
-        if self.columns.geometry {
+        if self.columns.geometry() {
             let geometry =
                 columns(&self.geometry_step, &g.geometry, &scene.geometry, &first.geometry, &second.geometry);
             commands.run(&kernels::ADAM, &geometry, Groups::Items(n * GEOMETRY_WIDTH));

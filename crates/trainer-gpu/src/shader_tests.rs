@@ -16,7 +16,7 @@ fn every_shader_is_valid_and_within_the_guaranteed_limits() {
 fn host_structs_have_the_layout_of_the_shaders() {
     let twins = [
         ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
-        ("Adam", host_layout!(AdamUniform, items, width, stamp, padding, rates)),
+        ("Adam", host_layout!(AdamUniform, items, width, stamp, fixed, rates)),
         ("Carry", host_layout!(CarryUniform, rows, width, dropped, padding)),
         ("Prior", host_layout!(PriorUniform, items, coefficients, strength, padding)),
         ("Sky", host_layout!(SkyUniform, size, scale, rate, epsilon)),

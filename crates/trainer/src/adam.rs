@@ -39,17 +39,26 @@ impl LearningRates {
 /// Which parameters of Gaussians move. No moments are kept of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Columns {
-    /// Positions, rotations, scales and opacities.
-    pub geometry: bool,
+    /// Positions and rotations.
+    pub placement: bool,
+    /// Scales and opacities.
+    pub shape: bool,
     /// SH coefficients.
     pub colours: bool,
 }
 
 impl Columns {
     /// Everything.
-    pub const ALL: Self = Self { geometry: true, colours: true };
+    pub const ALL: Self = Self { placement: true, shape: true, colours: true };
     /// SH coefficients only.
-    pub const COLOURS: Self = Self { geometry: false, colours: true };
+    pub const COLOURS: Self = Self { placement: false, shape: false, colours: true };
+    /// All but positions and rotations, which hold the motion.
+    pub const IN_PLACE: Self = Self { placement: false, shape: true, colours: true };
+
+    /// Whether anything but the colours moves.
+    pub fn geometry(self) -> bool {
+        self.placement || self.shape
+    }
 }
 
 /// Which Gaussians a step updates.
@@ -112,9 +121,13 @@ impl Adam {
     /// The same without memory for the columns that do not move. Such a set keeps its Gaussians.
     pub fn of_columns(n: usize, sh_degree: usize, columns: Columns) -> Self {
         let moments = || {
-            let mut moments = Gaussians::zeros(if columns.geometry { n } else { 0 }, sh_degree);
-            let colours = if columns.colours { n } else { 0 };
-            moments.sh.resize(colours * moments.sh_stride(), [0.0; 3]);
+            let rows = |moves: bool| if moves { n } else { 0 };
+            let mut moments = Gaussians::zeros(0, sh_degree);
+            moments.means.resize(rows(columns.placement), [0.0; 3]);
+            moments.quats.resize(rows(columns.placement), [0.0; 4]);
+            moments.log_scales.resize(rows(columns.shape), [0.0; 3]);
+            moments.opacity_logits.resize(rows(columns.shape), 0.0);
+            moments.sh.resize(rows(columns.colours) * moments.sh_stride(), [0.0; 3]);
             moments
         };
         Self {

@@ -4,10 +4,10 @@
 //! image = front + T_front (dynamic over behind). A step then touches only the moving Gaussians and the tiles under
 //! the dilated mask.
 
-use crate::adam::{Columns, LearningRates};
+use crate::adam::LearningRates;
 use crate::backend::{Around, CutLayers, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::prior::Prior;
-use crate::schedule::{Epochs, decay};
+use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
@@ -114,18 +114,12 @@ pub fn train_dynamic<B: TrainBackend>(
     }
     let extent = robust_extent(dynamic);
     let mut layer = Arc::new(std::mem::take(dynamic));
-    let task = LayerTask {
-        layer: &mut layer,
-        columns: Columns::ALL,
-        views,
-        around: Around::Cut(CutLayers {
-            static_layer: surroundings.static_layer,
-            sky: surroundings.sky,
-            outside_alpha: config.outside_alpha,
-        }),
-        prior: surroundings.prior,
-        sums_gradients: false,
-    };
+    let around = Around::Cut(CutLayers {
+        static_layer: surroundings.static_layer,
+        sky: surroundings.sky,
+        outside_alpha: config.outside_alpha,
+    });
+    let task = LayerTask { prior: surroundings.prior, ..LayerTask::new(&mut layer, views, around) };
     let trained = train(backend, config, task, extent, seed, report);
     *dynamic = Arc::unwrap_or_clone(layer);
     trained
@@ -141,15 +135,14 @@ fn train<B: TrainBackend>(
 ) -> Result<(), B::Error> {
     let views = task.views.len();
     let mut training = backend.upload_layer(task)?;
+    let schedule = Schedule {
+        iterations: config.iterations,
+        seed,
+        sh_degree: &|_| None,
+        rates: &|iteration| config.rates(iteration, extent),
+    };
     loop {
-        let mut epochs = Epochs::new((0..views).collect(), seed);
-        for iteration in 0..config.iterations {
-            let Some(view) = epochs.draw() else { break };
-            training.forward(view, None)?;
-            training.backward()?;
-            training.step(&config.rates(iteration, extent))?;
-            training.progress(iteration + 1, config.iterations)?.into_iter().for_each(&mut *report);
-        }
+        schedule.run(&mut training, views, &mut |_, _| Ok(()), report)?;
         if !training.must_repeat()? {
             return training.download();
         }

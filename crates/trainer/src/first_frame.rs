@@ -1,9 +1,9 @@
 //! Frame 0: static, dynamic and sky together, from points, trackside and initialisation views.
 
-use crate::adam::{Columns, LearningRates};
+use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::densify::{DensityConfig, DensityControl, reset_opacities};
-use crate::schedule::{Epochs, decay};
+use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use serde::{Deserialize, Serialize};
@@ -92,24 +92,18 @@ pub fn train_first_frame<B: TrainBackend>(
     }
     let FirstFrame { gaussians, mut sky } = start;
     let mut layer = Arc::new(gaussians);
-    let mut training = backend.upload_layer(LayerTask {
-        layer: &mut layer,
-        columns: Columns::ALL,
-        views: views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect(),
-        around: Around::TrainedSky(&mut sky, config.sky_rate),
-        prior: None,
-        sums_gradients: true,
-    })?;
+    let around = Around::TrainedSky(&mut sky, config.sky_rate);
+    let task_views = views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect();
+    let task = LayerTask { sums_gradients: true, ..LayerTask::new(&mut layer, task_views, around) };
+    let mut training = backend.upload_layer(task)?;
     let mut rounds = Rounds { config, extent, density: DensityControl::new(density_config(config), seed) };
-    let mut epochs = Epochs::new((0..views.len()).collect(), seed);
-    for iteration in 0..config.iterations {
-        let Some(view) = epochs.draw() else { break };
-        training.forward(view, Some(iteration * 10 / config.iterations))?;
-        training.backward()?;
-        training.step(&rates(config, iteration, extent))?;
-        rounds.after_step(iteration + 1, &mut training)?;
-        training.progress(iteration + 1, config.iterations)?.into_iter().for_each(&mut *report);
-    }
+    let schedule = Schedule {
+        iterations: config.iterations,
+        seed,
+        sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
+        rates: &|iteration| rates(config, iteration, extent),
+    };
+    schedule.run(&mut training, views.len(), &mut |done, training| rounds.after_step(done, training), report)?;
     training.download()?;
     Ok(FirstFrame { gaussians: Arc::unwrap_or_clone(layer), sky })
 }

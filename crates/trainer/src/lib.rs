@@ -36,7 +36,7 @@ pub use gain::{Gain, PixelNoise, information_gain};
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
 pub use prior::{Drift, KINDS, Kind, Prior};
-pub use schedule::{Epochs, decay};
+pub use schedule::{Epochs, Schedule, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::{Photographed, StaticLane};

@@ -1,3 +1,6 @@
+use crate::adam::LearningRates;
+use crate::backend::LayerTraining;
+use crate::view::Progress;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -32,6 +35,44 @@ impl Epochs {
 pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
     let t = iteration as f32 / iterations.max(1) as f32;
     (start.ln() * (1.0 - t) + end.ln() * t).exp()
+}
+
+/// How often and how far a training steps.
+pub struct Schedule<'a> {
+    /// Steps, one view each.
+    pub iterations: usize,
+    /// Fixes the order of the views.
+    pub seed: u64,
+    /// SH degree of the colours at a step; `None` = the Gaussians' own.
+    pub sh_degree: &'a dyn Fn(usize) -> Option<usize>,
+    /// Step sizes at a step.
+    pub rates: &'a dyn Fn(usize) -> LearningRates,
+}
+
+impl Schedule<'_> {
+    /// Takes the steps, over `views` views in epochs. `after` is called with the number of steps done, for what comes between
+    /// two of them.
+    ///
+    /// # Errors
+    /// When the device fails, or `after` does.
+    pub fn run<L: LayerTraining>(
+        &self,
+        training: &mut L,
+        views: usize,
+        after: &mut dyn FnMut(usize, &mut L) -> Result<(), L::Error>,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<(), L::Error> {
+        let mut epochs = Epochs::new((0..views).collect(), self.seed);
+        for iteration in 0..self.iterations {
+            let Some(view) = epochs.draw() else { break };
+            training.forward(view, (self.sh_degree)(iteration))?;
+            training.backward()?;
+            training.step(&(self.rates)(iteration))?;
+            after(iteration + 1, training)?;
+            training.progress(iteration + 1, self.iterations)?.into_iter().for_each(&mut *report);
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -1,280 +1,32 @@
-//! The lanes of the CPU on a small scene whose photographs are renders: what a step does, that errors fall, and that
-//! results do not depend on the number of threads.
+//! The CPU as a training backend: what every backend owes, and that no result depends on the number of threads.
 
-use ffgs_core::{
-    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
-};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
-use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LossRegion, Photographed,
-    PhotometricLoss, SkyView, StaticLane, StaticMethod, Surroundings, robust_extent, train_dynamic,
-    train_first_frame, train_sky,
-};
-use glam::{DMat4, DVec3};
-use std::sync::Arc;
+mod suite;
 
-const SIZE: ImageSize = ImageSize { width: 48, height: 36 };
-const SEED: u64 = 7;
+use ffgs_core::{Gaussians, SkyCube};
+use ffgs_trainer::{CpuBackend, DynamicLaneConfig, FirstFrame, StaticMethod};
+use suite::{World, backend_suite, first_frame, world};
 
-struct World {
-    fixed: Arc<Gaussians>,
-    moving: Gaussians,
-    sky: SkyCube,
-    views: Vec<TrainingView>,
-}
-
-/// Gaussians around `centre` (m); degree 1.
-fn blob(count: usize, centre: [f32; 3], radius: f32) -> Gaussians {
-    let mut out = Gaussians::zeros(count, 1);
-    for i in 0..count {
-        let wave = |k: usize| (1.3 * (i * k) as f32 + k as f32).sin();
-        out.means[i] = [0, 1, 2].map(|a| centre[a] + radius * wave(a + 1));
-        out.quats[i] = [1.0, 0.3 * wave(5), 0.3 * wave(6), 0.3 * wave(7)];
-        out.log_scales[i] = [wave(8), wave(9), wave(10)].map(|v| -1.9 + 0.3 * v);
-        out.opacity_logits[i] = 1.0 + wave(11);
-        for k in 0..4 {
-            let scale = if k == 0 { 1.0 } else { 0.1 };
-            out.sh[4 * i + k] = [12, 13, 14].map(|c| scale * wave(c + k));
-        }
-    }
-    out
-}
-
-fn camera(angle: f64) -> Camera {
-    let intrinsics = Intrinsics { fx: 45.0, fy: 46.0, cx: 24.3, cy: 17.6 };
-    let pose = DMat4::from_translation(DVec3::new(0.0, 0.0, 4.0)) * DMat4::from_rotation_y(angle);
-    Camera::new(intrinsics, pose, SIZE).unwrap()
-}
-
-fn joint(fixed: &Gaussians, moving: &Gaussians) -> Gaussians {
-    let mut joint = fixed.clone();
-    joint.extend(moving);
-    joint
-}
-
-/// All layers at once, with the rasterizer alone.
-fn render(gaussians: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage {
-    let mut behind = PlanarImage::zeros(SIZE);
-    SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
-    let view = View { camera, background: Background::Image(&behind), tiles: None };
-    let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
-        .render(gaussians, &view, &mut tape);
-    tape.image().clone()
-}
-
-/// A disc in the middle of the image, larger than the moving blob.
-fn disc() -> Mask {
-    let inside = |p: usize| {
-        let (x, y) = ((p % SIZE.width) as f64 - 23.5, (p / SIZE.width) as f64 - 17.5);
-        u8::from(x.hypot(y) < 11.0)
-    };
-    Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).unwrap()
-}
-
-fn world() -> World {
-    let (moving, fixed) = (blob(40, [0.0; 3], 0.5), blob(60, [0.0, 0.0, 3.0], 2.5));
-    let mut sky = SkyCube::filled(8, [0.3, 0.5, 0.8]);
-    for (i, texel) in sky.texels.iter_mut().enumerate() {
-        texel[0] += 0.2 * (0.7 * i as f32).sin();
-    }
-    let view = |angle: f64| {
-        let camera = camera(angle);
-        let image = ImageRgb8::from(&render(&joint(&fixed, &moving), &sky, &camera));
-        TrainingView { camera, image, mask: disc() }
-    };
-    let views = [-0.3, -0.1, 0.1, 0.3].map(view).to_vec();
-    World { fixed: Arc::new(fixed), moving, sky, views }
-}
-
-impl World {
-    fn around(&self) -> Surroundings<'_> {
-        Surroundings { static_layer: &self.fixed, sky: &self.sky, prior: None }
-    }
-
-    /// Mean squared error over the pixels in or outside the masks.
-    fn error(&self, fixed: &Gaussians, moving: &Gaussians, sky: &SkyCube, foreground: bool) -> f64 {
-        let gaussians = joint(fixed, moving);
-        let (mut sum, mut count) = (0.0, 0.0);
-        for view in &self.views {
-            let image = render(&gaussians, sky, &view.camera);
-            for p in (0..SIZE.pixels()).filter(|&p| (view.mask.data()[p] != 0) == foreground) {
-                let pairs = image.pixel(p).into_iter().zip(view.image.pixel(p));
-                sum += pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
-                count += 3.0;
-            }
-        }
-        sum / count
-    }
-
-    /// The dynamic lane.
-    fn train(&self, config: &DynamicLaneConfig, layer: &mut Gaussians) {
-        let Ok(()) = train_dynamic(&CpuBackend, config, &self.views, self.around(), layer, SEED, &mut |_| {});
-    }
-
-    /// The static lane, from wrong colours.
-    fn recolour(&self, method: StaticMethod) -> Gaussians {
-        let mut layer = Arc::new(recoloured(&self.fixed));
-        let photographed = Photographed { views: &self.views, sky: &self.sky };
-        let (config, mut lane) = (static_config(method), StaticLane::default());
-        let Ok(()) = lane.train(&CpuBackend, &config, photographed, &mut layer, SEED, &mut |_| {});
-        Arc::unwrap_or_clone(layer)
-    }
-
-    /// The moving layer a little off its place and in wrong colours.
-    fn disturbed(&self) -> Gaussians {
-        let mut out = self.moving.clone();
-        out.means.iter_mut().for_each(|m| *m = [m[0] + 0.06, m[1] - 0.04, m[2] + 0.03]);
-        out.sh.iter_mut().for_each(|c| *c = c.map(|v| 0.8 * v + 0.1));
-        out
-    }
-}
-
-fn static_config(method: StaticMethod) -> BackgroundConfig {
-    let (static_iterations, sky_iterations) = (80, 80);
-    BackgroundConfig {
-        static_method: method,
-        static_iterations,
-        sky_iterations,
-        ..BackgroundConfig::default()
-    }
-}
-
-fn recoloured(gaussians: &Gaussians) -> Gaussians {
-    let mut out = gaussians.clone();
-    out.sh.iter_mut().for_each(|c| *c = c.map(|v| v + 0.15));
-    out
-}
-
-/// The first step of Adam is the rate against the sign of the gradient. The sign is that of finite differences of the
-/// loss of a plain render of everything: neither the cache, nor the cut at a depth, nor the backward pass is in it.
-#[test]
-fn a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss() {
-    let mut world = world();
-    world.views.truncate(1);
-    let start = world.disturbed();
-    let config = DynamicLaneConfig { iterations: 1, outside_alpha: 0.0, ..DynamicLaneConfig::default() };
-    let mut moved = start.clone();
-    world.train(&config, &mut moved);
-
-    let view = &world.views[0];
-    let region = view.mask.dilated(config.loss_dilation);
-    let (mut loss, mut gradient) = (PhotometricLoss::new(), PlanarImage::zeros(SIZE));
-    let mut value = |gaussians: &Gaussians| {
-        let image = render(&joint(&world.fixed, gaussians), &world.sky, &view.camera);
-        loss.evaluate(&image, &view.image, LossRegion::Mask(&region), &mut gradient).total
-    };
-    let rate = config.rates(0, robust_extent(&start)).means;
-    let mut judged = 0;
-    for i in 0..start.len() {
-        for axis in 0..3 {
-            let mut at = |step: f32| {
-                let mut gaussians = start.clone();
-                gaussians.means[i][axis] += step;
-                value(&gaussians)
-            };
-            let mut slope = |h: f32| (at(h) - at(-h)) / f64::from(2.0 * h);
-            let (slope, nearer) = (slope(2e-3), slope(5e-4));
-            let step = moved.means[i][axis] - start.means[i][axis];
-            // Elsewhere rounding decides, or a kink: of the absolute difference, or where a splat becomes too faint.
-            if slope.abs() > 2e-3 && (nearer / slope - 1.0).abs() < 0.1 {
-                judged += 1;
-                assert!(
-                    f64::from(step) * slope < 0.0,
-                    "Gaussian {i}, axis {axis}: slope {slope:.1e}, step {step:.1e}"
-                );
-                assert!((step.abs() / rate - 1.0).abs() < 0.05, "{step:.1e} is no step of {rate:.1e}");
-            }
-        }
-    }
-    assert!(judged > 30, "{judged} slopes are large enough");
-}
-
-#[test]
-fn the_dynamic_lane_brings_a_disturbed_layer_back() {
-    let world = world();
-    let mut layer = world.disturbed();
-    let before = world.error(&world.fixed, &layer, &world.sky, true);
-    let config = DynamicLaneConfig { iterations: 200, position_rate: 1e-2, ..DynamicLaneConfig::default() };
-    world.train(&config, &mut layer);
-    let after = world.error(&world.fixed, &layer, &world.sky, true);
-    println!("{before:.2e} -> {after:.2e}");
-    assert!(after < 0.5 * before, "{before:.2e} -> {after:.2e}");
-}
-
-#[test]
-fn both_methods_of_the_static_lane_restore_colours() {
-    let world = world();
-    let nothing = Gaussians::zeros(0, 1);
-    for method in [StaticMethod::Solve, StaticMethod::Steps] {
-        let before = world.error(&recoloured(&world.fixed), &nothing, &world.sky, false);
-        let layer = world.recolour(method);
-        let after = world.error(&layer, &nothing, &world.sky, false);
-        println!("{method:?}: {before:.2e} -> {after:.2e}");
-        assert!(after < 0.7 * before, "{method:?}: {before:.2e} -> {after:.2e}");
-        assert_eq!(layer.means, world.fixed.means, "only colours change");
-    }
-}
-
-#[test]
-fn the_sky_lane_restores_texels() {
-    let world = world();
-    let nothing = Gaussians::zeros(0, 1);
-    let mut sky = SkyCube::filled(8, [0.5; 3]);
-    let before = world.error(&world.fixed, &nothing, &sky, false);
-    let Ok(()) = train_sky(
-        &CpuBackend,
-        &static_config(StaticMethod::Solve),
-        &world.views,
-        &world.fixed,
-        &mut sky,
-        SEED,
-    );
-    let after = world.error(&world.fixed, &nothing, &sky, false);
-    println!("{before:.2e} -> {after:.2e}");
-    assert!(after < 0.7 * before, "{before:.2e} -> {after:.2e}");
-}
-
-fn first_frame(world: &World) -> FirstFrame {
-    let config = FirstFrameConfig { iterations: 120, ..FirstFrameConfig::default() };
-    let start = joint(&recoloured(&world.fixed), &world.disturbed());
-    let sky = SkyCube::filled(8, [0.5; 3]);
-    let start = FirstFrame { gaussians: start, sky };
-    let Ok(trained) = train_first_frame(&CpuBackend, &config, &world.views, start, 4.0, SEED, &mut |_| {});
-    trained
-}
-
-#[test]
-fn the_first_frame_comes_nearer_to_the_photographs() {
-    let world = world();
-    let nothing = Gaussians::zeros(0, 1);
-    let start = joint(&recoloured(&world.fixed), &world.disturbed());
-    let sky = SkyCube::filled(8, [0.5; 3]);
-    let error = |g: &Gaussians, sky: &SkyCube| {
-        world.error(g, &nothing, sky, true) + world.error(g, &nothing, sky, false)
-    };
-    let trained = first_frame(&world);
-    let (before, after) = (error(&start, &sky), error(&trained.gaussians, &trained.sky));
-    println!("{before:.2e} -> {after:.2e}");
-    assert!(after < 0.5 * before, "{before:.2e} -> {after:.2e}");
+backend_suite! {
+    &CpuBackend;
+    a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss,
+    the_dynamic_lane_brings_a_disturbed_layer_back,
+    both_methods_of_the_static_lane_restore_colours,
+    the_sky_lane_restores_texels,
+    the_first_frame_comes_nearer_to_the_photographs,
+    what_is_fixed_stays,
+    equal_inputs_give_equal_bytes,
+    no_step_changes_nothing,
 }
 
 /// Every lane, with few steps, in the memory of its results.
 fn all_lanes(world: &World) -> (Gaussians, Vec<Gaussians>, SkyCube, FirstFrame) {
     let mut moving = world.disturbed();
     let config = DynamicLaneConfig { iterations: 20, ..DynamicLaneConfig::default() };
-    world.train(&config, &mut moving);
-    let fixed = [StaticMethod::Solve, StaticMethod::Steps].map(|method| world.recolour(method));
+    world.train(&CpuBackend, &config, &mut moving);
+    let fixed = [StaticMethod::Solve, StaticMethod::Steps].map(|method| world.recolour(&CpuBackend, method));
     let mut sky = SkyCube::filled(8, [0.5; 3]);
-    let Ok(()) = train_sky(
-        &CpuBackend,
-        &static_config(StaticMethod::Solve),
-        &world.views,
-        &world.fixed,
-        &mut sky,
-        SEED,
-    );
-    (moving, fixed.to_vec(), sky, first_frame(world))
+    world.train_sky(&CpuBackend, &mut sky);
+    (moving, fixed.to_vec(), sky, first_frame(&CpuBackend, world))
 }
 
 #[test]

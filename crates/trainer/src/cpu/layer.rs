@@ -18,6 +18,9 @@ pub struct CpuLayer<'a> {
     around: Surrounding<'a>,
     penalty: Option<Penalty<'a>>,
     adam: Adam,
+    /// Gaussians at the front that stay.
+    fixed: usize,
+    antialiased: bool,
     sums: Option<GradientSums>,
     running: Running,
     /// The view at hand, and how it was drawn.
@@ -29,31 +32,31 @@ pub struct CpuLayer<'a> {
     gradients: Gradients,
 }
 
-fn rasterizer(sh_degree: Option<usize>) -> CpuRasterizer {
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree })
-}
 
 impl<'a> CpuLayer<'a> {
     pub(super) fn new(task: LayerTask<'a>) -> Self {
         let layer = Arc::make_mut(task.layer);
         let mut seen = vec![0; layer.len()];
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: task.antialiased, sh_degree: None });
         let around = match task.around {
             Around::Sky(sky) => Surrounding::Sky(sky, SkyBehind::new()),
             Around::TrainedSky(sky, rate) => Surrounding::Trained(Box::new(TrainedSky::new(sky, rate))),
             Around::Cut(layers) => {
-                Surrounding::Cut(Box::new(Cut::new(layers, layer, &task.views, rasterizer(None), &mut seen)))
+                Surrounding::Cut(Box::new(Cut::new(layers, layer, &task.views, rasterizer, &mut seen)))
             }
         };
         Self {
             around,
             penalty: task.prior.map(|prior| Penalty::new(prior, layer, seen)),
             adam: Adam::of_columns(layer.len(), layer.sh_degree(), task.columns),
+            fixed: task.fixed,
+            antialiased: task.antialiased,
             sums: task.sums_gradients.then(|| GradientSums::new(layer.len())),
             layer,
             views: task.views,
             running: Running::default(),
             at: 0,
-            rasterizer: rasterizer(None),
+            rasterizer,
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             pixel_gradient: PlanarImage::zeros(ImageSize { width: 1, height: 1 }),
@@ -66,7 +69,8 @@ impl LayerTraining for CpuLayer<'_> {
     type Error = Infallible;
 
     fn forward(&mut self, index: usize, sh_degree: Option<usize>) -> Result<(), Infallible> {
-        (self.at, self.rasterizer) = (index, rasterizer(sh_degree));
+        self.at = index;
+        self.rasterizer = CpuRasterizer::new(RenderOptions { antialiased: self.antialiased, sh_degree });
         let TaskView { view, region, tiles } = &self.views[index];
         self.around.aim(index, &view.camera);
         let background = Background::Image(self.around.behind());
@@ -94,7 +98,8 @@ impl LayerTraining for CpuLayer<'_> {
     }
 
     fn step(&mut self, rates: &LearningRates) -> Result<(), Infallible> {
-        let touched = &self.gradients.touched;
+        let touched = &mut self.gradients.touched;
+        touched[..self.fixed].fill(false);
         self.adam.step(self.layer, &self.gradients.gaussians, rates, Update::Touched(touched));
         self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
         if let Some(sums) = &mut self.sums {

@@ -4,7 +4,7 @@ use super::Photographed;
 use crate::adam::Columns;
 use crate::backend::{Around, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};
-use crate::schedule::Epochs;
+use crate::schedule::Schedule;
 use crate::view::Progress;
 use ffgs_core::Gaussians;
 use std::sync::Arc;
@@ -21,25 +21,15 @@ pub(super) fn train<B: TrainBackend>(
     if config.static_iterations == 0 {
         return Ok(());
     }
-    let mut training = backend.upload_layer(LayerTask {
-        layer,
-        columns: Columns::COLOURS,
-        views: views
-            .iter()
-            .map(|view| TaskView::of_region(view, outside(view, config.mask_dilation)))
-            .collect(),
-        around: Around::Sky(sky),
-        prior: None,
-        sums_gradients: false,
-    })?;
-    let rates = config.static_rates();
-    let mut epochs = Epochs::new((0..views.len()).collect(), seed);
-    for iteration in 0..config.static_iterations {
-        let Some(view) = epochs.draw() else { break };
-        training.forward(view, None)?;
-        training.backward()?;
-        training.step(&rates)?;
-        training.progress(iteration + 1, config.static_iterations)?.into_iter().for_each(&mut *report);
-    }
+    let outside = |view| TaskView::of_region(view, outside(view, config.mask_dilation));
+    let task = LayerTask::new(layer, views.iter().map(outside).collect(), Around::Sky(sky));
+    let mut training = backend.upload_layer(LayerTask { columns: Columns::COLOURS, ..task })?;
+    let schedule = Schedule {
+        iterations: config.static_iterations,
+        seed,
+        sh_degree: &|_| None,
+        rates: &|_| config.static_rates(),
+    };
+    schedule.run(&mut training, views.len(), &mut |_, _| Ok(()), report)?;
     training.download()
 }
