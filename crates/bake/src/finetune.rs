@@ -1,7 +1,8 @@
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    Around, Columns, LayerTask, LayerTraining, LearningRates, Schedule, TILE_DILATION, TaskView, TrainBackend, decay,
+    Around, Columns, LayerTask, LayerTraining, LearningRates, Schedule, TILE_DILATION, TaskView,
+    TrainBackend, decay,
 };
 use std::sync::Arc;
 

@@ -9,7 +9,9 @@ use ffgs_trainer_gpu::GpuBackend;
 use suite::backend_suite;
 
 backend_suite! {
-    #[ignore = "needs a GPU"]
+    {
+        #[ignore = "needs a GPU"]
+    }
     &GpuBackend(&SceneDevice::new(Gpu::for_test()));
     a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss,
     the_dynamic_lane_brings_a_disturbed_layer_back,

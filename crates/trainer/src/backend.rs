@@ -133,7 +133,16 @@ impl<'a> LayerTask<'a> {
     /// All parameters of all Gaussians, antialiased, without a prior and without density control.
     pub fn new(layer: &'a mut Arc<Gaussians>, views: Vec<TaskView<'a>>, around: Around<'a>) -> Self {
         let columns = Columns::ALL;
-        Self { layer, columns, views, around, prior: None, sums_gradients: false, antialiased: true, fixed: 0 }
+        Self {
+            layer,
+            columns,
+            views,
+            around,
+            prior: None,
+            sums_gradients: false,
+            antialiased: true,
+            fixed: 0,
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use ffgs_trainer::{CpuBackend, DynamicLaneConfig, FirstFrame, StaticMethod};
 use suite::{World, backend_suite, first_frame, world};
 
 backend_suite! {
-    &CpuBackend;
+    {} &CpuBackend;
     a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss,
     the_dynamic_lane_brings_a_disturbed_layer_back,
     both_methods_of_the_static_lane_restore_colours,

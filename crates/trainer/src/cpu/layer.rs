@@ -32,7 +32,6 @@ pub struct CpuLayer<'a> {
     gradients: Gradients,
 }
 
-
 impl<'a> CpuLayer<'a> {
     pub(super) fn new(task: LayerTask<'a>) -> Self {
         let layer = Arc::make_mut(task.layer);

@@ -7,10 +7,9 @@ use ffgs_core::{
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer::{
     Around, BackgroundConfig, Columns, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LayerTask,
-    LayerTraining, LearningRates, LossRegion, Photographed,
-    PhotometricLoss, Schedule, SkyView, StaticLane, StaticMethod, Surroundings, TaskView,
-    TrainBackend, robust_extent, train_dynamic,
-    train_first_frame, train_sky,
+    LayerTraining, LearningRates, LossRegion, Photographed, PhotometricLoss, Schedule, SkyView, StaticLane,
+    StaticMethod, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic, train_first_frame,
+    train_sky,
 };
 use glam::{DMat4, DVec3};
 use std::sync::Arc;
@@ -306,14 +305,17 @@ pub(crate) fn no_step_changes_nothing<B: TrainBackend>(backend: &B) {
     assert!(layer == world.disturbed());
 }
 
-/// A test per duty, on the backend that the expression makes; the attributes are those of each test.
+/// A test per duty, on the backend that the expression makes; the attributes in braces are those of each test.
 macro_rules! backend_suite {
-    ($(#[$attribute:meta])* $backend:expr; $($duty:ident),* $(,)?) => {
-        $(#[test]
+    (@test { $(#[$attribute:meta])* } $backend:expr, $duty:ident) => {
+        #[test]
         $(#[$attribute])*
         fn $duty() {
             suite::$duty($backend);
-        })*
+        }
+    };
+    ($attributes:tt $backend:expr; $($duty:ident),* $(,)?) => {
+        $(suite::backend_suite!(@test $attributes $backend, $duty);)*
     };
 }
 pub(crate) use backend_suite;
