@@ -32,15 +32,6 @@ pub struct Fused {
     pub flexibility: Vec<f64>,
 }
 
-/// Combines the trackers' estimates with the temporal prior.
-pub trait MotionFuser: Sync {
-    /// One frame. A Gaussian without any estimate keeps its predicted place and covariance.
-    ///
-    /// # Errors
-    /// [`FusionError`] when a column has the wrong length or an option lacks its input.
-    fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError>;
-}
-
 /// Information-form Kalman update (Algorithm 1, lines 26 to 34), relative to the prior mean so that coordinates of
 /// any size stay exact; optionally with the rigid motion of the neighbourhood as the prior.
 #[derive(Clone, Copy, Debug, Default)]
@@ -49,18 +40,21 @@ pub struct InformationFuser {
     pub config: FusionConfig,
 }
 
-impl MotionFuser for InformationFuser {
-    fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
+impl InformationFuser {
+    /// Combines the trackers' estimates of one frame with the temporal prior. A Gaussian without any estimate keeps its
+    /// predicted place and covariance.
+    ///
+    /// # Errors
+    /// [`FusionError`] when a column has the wrong length or an option lacks its input.
+    pub fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
         self.fuse_refined(input, &mut |_| ())
     }
-}
 
-impl InformationFuser {
-    /// As [`fuse`](MotionFuser::fuse); `refine` may improve the motions of the rigid groups by what it knows beside the
+    /// As [`fuse`](Self::fuse); `refine` may improve the motions of the rigid groups by what it knows beside the
     /// estimates, before their members follow them.
     ///
     /// # Errors
-    /// As [`fuse`](MotionFuser::fuse).
+    /// As [`fuse`](Self::fuse).
     pub fn fuse_refined(
         &self,
         input: &FusionInput,

@@ -3,7 +3,7 @@
 //!
 //! ```
 //! use ffgs_core::{EstimateStatus, Estimates};
-//! use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, Structure};
+//! use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, Structure};
 //! use glam::{DMat3, DVec3};
 //!
 //! let config = FusionConfig { structure: Structure::None, ..FusionConfig::default() };
@@ -56,7 +56,7 @@ pub use cell_views::ViewObservations;
 pub use config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 pub use densify::{DensifyAction, DensifyConfig, apply_densification, plan_densification};
 pub use error::FusionError;
-pub use fuse::{Fused, InformationFuser, MotionFuser, initial_covariance, symmetric_inverse};
+pub use fuse::{Fused, InformationFuser, initial_covariance, symmetric_inverse};
 pub use groups::{Group, Groups, GroupsConfig, spatial_objects};
 pub use input::FusionInput;
 pub use neighbourhoods::{StructureConfig, StructurePrior, local_rigid_motion};

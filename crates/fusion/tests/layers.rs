@@ -2,9 +2,9 @@
 
 use ffgs_core::{Camera, EstimateStatus, Estimates, Gaussians, ImageSize, Intrinsics, Mask, sigmoid};
 use ffgs_fusion::{
-    DensifyAction, DensifyConfig, FusionConfig, FusionError, FusionInput, InformationFuser, MotionFuser,
-    PriorModel, ProcessNoise, Silhouettes, Slack, Structure, ViewCounts, apply_densification,
-    initial_covariance, plan_densification, second_chance, validate,
+    DensifyAction, DensifyConfig, FusionConfig, FusionError, FusionInput, InformationFuser, PriorModel,
+    ProcessNoise, Silhouettes, Slack, Structure, ViewCounts, apply_densification, initial_covariance,
+    plan_densification, second_chance, validate,
 };
 use glam::{DMat3, DMat4, DVec3};
 

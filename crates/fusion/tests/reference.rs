@@ -1,7 +1,7 @@
 //! Cases from an independent float64 implementation (fixtures/reference).
 
 use ffgs_core::{EstimateStatus, Estimates, ImageSize, Mask};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, Slack, count_views, validate};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, Slack, count_views, validate};
 use ffgs_testkit::{case, largest, largest_difference, relative_difference};
 use glam::{DMat3, DVec3};
 

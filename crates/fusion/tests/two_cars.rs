@@ -2,7 +2,7 @@
 //! are correlated over the surface, larger than they claim, and partly gross.
 
 use ffgs_core::{EstimateStatus, Estimates};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, RigidMotion, Structure};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, RigidMotion, Structure};
 use ffgs_testkit::normal3;
 use glam::{DMat3, DQuat, DVec3};
 use rand::{Rng, SeedableRng};

@@ -4,12 +4,12 @@ use crate::evaluation::configuration;
 use anyhow::Result;
 use clap::Args;
 use ffgs_core::Estimates;
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, ViewObservations};
 use ffgs_motion_eval::{Row, Sample, summarise, table};
 use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::config::Config;
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use glam::{DMat3, DVec3};
 use std::path::PathBuf;
 

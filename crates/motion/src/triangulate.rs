@@ -3,7 +3,7 @@
 use crate::MotionInput;
 use anyhow::Result;
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations, StageLog};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use std::time::Instant;
 
 /// Lines 20 to 24: every tracker's estimates.

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use ffgs_core::{Camera, Estimates, ImageSize, Intrinsics, Observations};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use glam::{DMat4, DVec3};
 
 fn main() -> Result<()> {

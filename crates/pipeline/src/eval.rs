@@ -1,9 +1,9 @@
 //! `ffgs eval`: measures a finished run again.
 
 use crate::args::EvalArgs;
+use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
 use crate::json::{read_json, write_json};
-use crate::lanes::Lanes;
 use crate::lock::FolderLock;
 use crate::publish::publish;
 use crate::record::{FrameRecord, Mean, Metrics, ViewMetrics};
@@ -37,7 +37,8 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
-        (record.views, pictures.views) = score(capture, &scene, &truths, &folder.frame(frame), Lanes(&gpus))?;
+        (record.views, pictures.views) =
+            score(capture, &scene, &truths, &folder.frame(frame), Devices(&gpus))?;
         write_json(&file, &pictures)?;
         records.push(record);
         bar.inc(1);

@@ -3,7 +3,7 @@
 //! A handful of photographs can be fitted to the last pixel by a scene that is wrong everywhere between them; then less
 //! training is better (docs/adr/0035-few-cameras-train-as-long-as-a-view-left-out-gains.md).
 
-use crate::lanes::Lanes;
+use crate::devices::Devices;
 use anyhow::Result;
 use ffgs_core::{Dynamic, Gaussians, Scene, TrainingView};
 use ffgs_metrics::psnr;
@@ -48,7 +48,7 @@ impl Trial {
 pub(crate) fn best_trial(
     config: &FirstFrameConfig,
     views: &[TrainingView],
-    lanes: Lanes,
+    devices: Devices,
     train: Train,
 ) -> Result<Option<Trial>> {
     if views.len() < FEWEST || views.len() > config.few_views {
@@ -58,7 +58,7 @@ pub(crate) fn best_trial(
     let left_out = others.remove(middle(views));
     let mut attempt = |config: FirstFrameConfig| -> Result<Trial> {
         let trained = train(&config, &others)?;
-        let of = |views: &[TrainingView]| mean_psnr(&trained, views, lanes);
+        let of = |views: &[TrainingView]| mean_psnr(&trained, views, devices);
         let trial = Trial { config, left_out: of(std::slice::from_ref(&left_out))?, trained: of(&others)? };
         let (steps, degree) = (config.iterations, config.sh_degree);
         tracing::info!(
@@ -91,7 +91,7 @@ fn middle(views: &[TrainingView]) -> usize {
     (0..views.len()).min_by(|&a, &b| sum(a).total_cmp(&sum(b))).unwrap_or(0)
 }
 
-fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], lanes: Lanes) -> Result<f64> {
+fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], devices: Devices) -> Result<f64> {
     let cameras: Vec<_> = views.iter().map(|view| view.camera).collect();
     let nothing = Gaussians::empty(trained.gaussians.sh_degree());
     let scene = Scene {
@@ -99,7 +99,7 @@ fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], lanes: Lanes) -> Resu
         dynamic: Dynamic { gaussians: nothing, ..Dynamic::default() },
         sky: trained.sky.clone(),
     };
-    let rendered = lanes.render(&scene, &cameras)?;
+    let rendered = devices.render(&scene, &cameras)?;
     let each = rendered.iter().zip(views).map(|(image, view)| psnr(image, &view.image));
     Ok(each.sum::<Result<f64, _>>()? / views.len() as f64)
 }
@@ -126,7 +126,7 @@ mod tests {
     fn trial(count: usize, at: usize, flat: f32) -> (Option<Trial>, Vec<(usize, usize, usize)>) {
         let config = FirstFrameConfig { iterations: 900, few_views: 8, ..FirstFrameConfig::default() };
         let mut calls = Vec::new();
-        let best = best_trial(&config, &views(count), Lanes(&[]), &mut |config, views| {
+        let best = best_trial(&config, &views(count), Devices(&[]), &mut |config, views| {
             calls.push((config.iterations, config.sh_degree, views.len()));
             let error = 0.1 * (config.iterations as f32 / at as f32).ln().abs();
             let error = error + 0.01 + if config.sh_degree == 0 { flat } else { 0.0 };

@@ -1,6 +1,6 @@
 //! How an export looks in a player, beside the run's own renders.
 
-use crate::lanes::sky_picture;
+use crate::devices::sky_picture;
 use crate::scoring::load_tests;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Mask, PlanarImage, Scene, TrainingView};

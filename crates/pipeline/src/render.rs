@@ -1,8 +1,8 @@
 //! `ffgs render`: pictures of a finished run.
 
 use crate::args::RenderArgs;
+use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
-use crate::lanes::Lanes;
 use crate::scoring::{render as render_scene, write_png};
 use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
@@ -46,7 +46,7 @@ pub fn render(args: &RenderArgs) -> Result<()> {
     let bar = progress(args.log.quiet, "views", views.len());
     for group in views.chunks(VIEWS_AT_ONCE) {
         let cameras: Vec<Camera> = group.iter().map(|(_, camera)| *camera).collect();
-        let pictures = render_scene(&scene, &cameras, Lanes(&gpus))?;
+        let pictures = render_scene(&scene, &cameras, Devices(&gpus))?;
         for ((name, _), picture) in group.iter().zip(&pictures) {
             write_png(&out.join(name), &ImageRgb8::from(picture))?;
             bar.inc(1);

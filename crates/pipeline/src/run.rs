@@ -5,12 +5,12 @@ use crate::choice::MethodChoice;
 use crate::config::Config;
 use crate::console::Console;
 use crate::device;
+use crate::devices::Devices;
 use crate::few_views::best_trial;
 use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
-use crate::lanes::Lanes;
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
@@ -170,8 +170,8 @@ impl<'a> Job<'a> {
         &self.request.config
     }
 
-    fn lanes(&self) -> Lanes<'_> {
-        Lanes(&self.gpus)
+    fn devices(&self) -> Devices<'_> {
+        Devices(&self.gpus)
     }
 
     fn publish(&self, metrics: &Metrics) -> Result<()> {
@@ -284,7 +284,7 @@ impl<'a> Job<'a> {
         let config = &self.config().first_frame;
         let mut train = |config: &FirstFrameConfig, views: &[TrainingView]| {
             let bar = console.lane("first frame", config.iterations);
-            self.lanes().first_frame(
+            self.devices().first_frame(
                 config,
                 views,
                 start(&*self.capture, self.config(), config.sh_degree, views)?,
@@ -294,7 +294,7 @@ impl<'a> Job<'a> {
             )
         };
         let start = Instant::now();
-        let Some(best) = best_trial(config, views, self.lanes(), &mut train)? else {
+        let Some(best) = best_trial(config, views, self.devices(), &mut train)? else {
             return train(config, views);
         };
         log.since("trials of few cameras", start);
@@ -360,7 +360,7 @@ impl<'a> Job<'a> {
         let measuring = Instant::now();
         let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
         let truths = load_tests(&*self.capture, frame)?;
-        record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.lanes())?;
+        record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.devices())?;
         let measuring = measuring.elapsed().as_secs_f64();
         let predicted = Predicted::new(&scene, &self.config().dynamic);
         let known = predicted.as_ref().map(Predicted::prior);
@@ -391,7 +391,7 @@ impl<'a> Job<'a> {
         console: &Console,
         log: &mut StageLog,
     ) -> Result<()> {
-        let (config, lanes) = (self.config(), self.lanes());
+        let (config, devices) = (self.config(), self.devices());
         let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
         let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
@@ -403,21 +403,21 @@ impl<'a> Job<'a> {
             work().map(|()| start.elapsed().as_secs_f64())
         };
         let background = &config.background;
-        let (dynamic_s, static_s, sky_s) = lanes.together(
+        let (dynamic_s, static_s, sky_s) = devices.together(
             || {
                 timed(&mut || {
                     let layer = &mut dynamic.gaussians;
-                    lanes.dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p))
+                    devices.dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p))
                 })
             },
             || {
                 timed(&mut || {
                     let photographed = Photographed { views, sky: &sky_start };
                     let report = &mut |p| static_bar.show(p);
-                    lanes.static_layer(static_lane, background, photographed, static_layer, seed, report)
+                    devices.static_layer(static_lane, background, photographed, static_layer, seed, report)
                 })
             },
-            || timed(&mut || lanes.sky(background, views, &static_start, sky, seed)),
+            || timed(&mut || devices.sky(background, views, &static_start, sky, seed)),
         );
         log.add_seconds("dynamic", dynamic_s?);
         log.add_seconds("static", static_s?);
@@ -472,7 +472,7 @@ impl<'a> Job<'a> {
         format.write(&dynamic_file, &dynamic, RenderMode::Mip)?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
-        (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.lanes())?;
+        (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.devices())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();

@@ -1,6 +1,6 @@
 //! Renders the test views of a frame and measures them.
 
-use crate::lanes::Lanes;
+use crate::devices::Devices;
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
@@ -11,8 +11,8 @@ use rayon::prelude::*;
 use std::path::Path;
 
 /// Depth-sorted renders of all layers over the sky.
-pub(crate) fn render(scene: &Scene, cameras: &[Camera], lanes: Lanes) -> Result<Vec<PlanarImage>> {
-    lanes.render(scene, cameras)
+pub(crate) fn render(scene: &Scene, cameras: &[Camera], devices: Devices) -> Result<Vec<PlanarImage>> {
+    devices.render(scene, cameras)
 }
 
 /// Writes a PNG through a temporary file.
@@ -49,11 +49,11 @@ pub(crate) fn load_tests(capture: &dyn Capture, frame: usize) -> Result<Vec<Trai
 }
 
 /// Mean foreground PSNR (dB) over the test views `truths`, without pictures; `None` where nothing is in the foreground.
-pub(crate) fn mean_mpsnr(scene: &Scene, truths: &[TrainingView], lanes: Lanes) -> Result<Option<f64>> {
+pub(crate) fn mean_mpsnr(scene: &Scene, truths: &[TrainingView], devices: Devices) -> Result<Option<f64>> {
     let truths: Vec<&TrainingView> = truths.iter().filter(|truth| truth.mask.count() > 0).collect();
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
     let mut values = Vec::new();
-    for (truth, rendered) in truths.iter().zip(render(scene, &cameras, lanes)?) {
+    for (truth, rendered) in truths.iter().zip(render(scene, &cameras, devices)?) {
         values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
     }
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
@@ -66,10 +66,10 @@ pub(crate) fn score(
     scene: &Scene,
     truths: &[TrainingView],
     folder: &Path,
-    lanes: Lanes,
+    devices: Devices,
 ) -> Result<(Vec<ViewMetrics>, Vec<[String; 3]>)> {
     let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
-    let rendered = render(scene, &cameras, lanes)?;
+    let rendered = render(scene, &cameras, devices)?;
     let thumbnails = thumbnails(capture);
     let score = |(v, (truth, rendered)): (usize, (&TrainingView, PlanarImage))| {
         let name = &capture.views(Split::Test)[v];

@@ -6,10 +6,10 @@ mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
 use ffgs_fusion::{
-    FusionInput, InformationFuser, MotionFuser, Slack, ViewObservations, count_views, second_chance, validate,
+    FusionInput, InformationFuser, Slack, ViewObservations, count_views, second_chance, validate,
 };
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;

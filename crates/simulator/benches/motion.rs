@@ -7,10 +7,10 @@ mod scene;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ffgs_core::{Estimates, Mask};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations, count_views};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, ViewObservations, count_views};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use ffgs_simulator::{Recipe, Scenario, Simulation, simulate};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
 use glam::{DMat3, DVec2};
 use scene::{PAPER, SAMPLE, Scale, Scene, SceneView};

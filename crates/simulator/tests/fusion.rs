@@ -1,10 +1,10 @@
 //! The whole way from observations to the posterior on simulated scenes, against the literal fusion and the truth.
 
 use ffgs_core::{Estimates, Observations};
-use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
+use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, ViewObservations};
 use ffgs_motion_eval::{Sample, Summary, summarise};
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use glam::{DMat3, DVec2, DVec3};
 
 fn fuse(scene: &Simulation, observations: &[Observations], config: FusionConfig) -> Fused {

@@ -1,10 +1,10 @@
 //! Whether a body counts as rigid: whatever the trackers claim, however precise they are, and with a memory.
 
 use ffgs_core::Estimates;
-use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, MotionFuser, ViewObservations};
+use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, ViewObservations};
 use ffgs_motion_eval::{Sample, Summary, summarise};
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use glam::DMat3;
 
 /// The fusion with the trackers' covariances times `claims`, after a frame that left `flexibility`.

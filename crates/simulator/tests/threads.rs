@@ -5,9 +5,9 @@
 mod scene;
 
 use ffgs_core::{DenseMotion, Estimates, Mask, Observations};
-use ffgs_fusion::{FusionInput, InformationFuser, MotionFuser, ViewCounts, ViewObservations, count_views};
+use ffgs_fusion::{FusionInput, InformationFuser, ViewCounts, ViewObservations, count_views};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig, agreement, densify_view};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;

@@ -1,11 +1,10 @@
 //! Optical flow in OpenEXR images, as renderers write it.
 
 use crate::error::TracksError;
-use crate::flow::RawFlow;
+use crate::flow::{FlowFormat, RawFlow};
 use ::exr::meta::MetaData;
 use ::exr::prelude::{FlatImage, FlatSamples, ReadChannels, ReadLayers, read as read_image};
 use ffgs_core::{ImageSize, open_input};
-use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::io::{BufReader, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -15,28 +14,8 @@ use std::path::Path;
 const MAX_BYTES_PER_PIXEL: usize = 256;
 
 /// Flow in an OpenEXR image.
-pub(crate) struct Exr;
-
-impl Plugin for Exr {
-    fn name(&self) -> &'static str {
-        "exr"
-    }
-
-    fn summary(&self) -> &'static str {
-        "optical flow in the channels U, V of an OpenEXR image"
-    }
-}
-
-impl TrackFormat for Exr {
-    fn is_dense(&self) -> bool {
-        true
-    }
-
-    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
-        let tracked = read(file, size).and_then(|flow| flow.into_motion(file, size));
-        tracked.map_err(|error| error.in_file(file))
-    }
-}
+pub(crate) const EXR: FlowFormat =
+    FlowFormat { name: "exr", summary: "optical flow in the channels U, V of an OpenEXR image", read };
 
 /// Reads the channels U, V (any case, f16, f32 or u32; also `LAYER.U`) of an OpenEXR image. Another size than
 /// `expected` is refused from the header.

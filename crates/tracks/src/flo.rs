@@ -1,9 +1,8 @@
 //! Middlebury optical flow.
 
 use crate::error::TracksError;
-use crate::flow::RawFlow;
+use crate::flow::{FlowFormat, RawFlow};
 use ffgs_core::{ImageSize, open_input};
-use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
 
@@ -12,28 +11,7 @@ const MAGIC: [u8; 4] = *b"PIEH";
 const HEADER_BYTES: usize = 12;
 
 /// Middlebury flow files.
-pub(crate) struct Flo;
-
-impl Plugin for Flo {
-    fn name(&self) -> &'static str {
-        "flo"
-    }
-
-    fn summary(&self) -> &'static str {
-        "Middlebury optical flow"
-    }
-}
-
-impl TrackFormat for Flo {
-    fn is_dense(&self) -> bool {
-        true
-    }
-
-    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
-        let tracked = read(file, size).and_then(|flow| flow.into_motion(file, size));
-        tracked.map_err(|error| error.in_file(file))
-    }
-}
+pub(crate) const FLO: FlowFormat = FlowFormat { name: "flo", summary: "Middlebury optical flow", read };
 
 /// Reads a Middlebury flow file: magic, width, height (i32), then (u, v) f32 per pixel, little-endian, row-major.
 /// Another size than `expected` is refused from the header.

@@ -2,11 +2,40 @@
 
 use crate::error::TracksError;
 use ffgs_core::{DenseMotion, ImageSize, ViewMotion};
-use ffgs_method::Tracked;
+use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::path::Path;
 
 /// Middlebury's convention: a larger component means that the flow is unknown.
 const UNKNOWN_FLOW: f32 = 1e9;
+
+/// A format of files that hold a displacement for every pixel.
+pub(crate) struct FlowFormat {
+    pub(crate) name: &'static str,
+    pub(crate) summary: &'static str,
+    /// Reads a file that should be of this size; another one is found before much memory is taken.
+    pub(crate) read: fn(&Path, ImageSize) -> Result<RawFlow, TracksError>,
+}
+
+impl Plugin for FlowFormat {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn summary(&self) -> &'static str {
+        self.summary
+    }
+}
+
+impl TrackFormat for FlowFormat {
+    fn is_dense(&self) -> bool {
+        true
+    }
+
+    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
+        let tracked = (self.read)(file, size).and_then(|flow| flow.into_motion(file, size));
+        tracked.map_err(|error| error.in_file(file))
+    }
+}
 
 /// Displacements (px) of a file, row-major.
 pub(crate) struct RawFlow {

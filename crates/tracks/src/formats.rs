@@ -1,11 +1,11 @@
 //! The file formats of trackers. One is added by a file and a line here.
 
-use crate::exr::Exr;
-use crate::flo::Flo;
-use crate::npy::Npy;
+use crate::exr::EXR;
+use crate::flo::FLO;
+use crate::npy::NPY;
 use crate::npz::Npz;
 use ffgs_method::{Registry, TrackFormat};
 
 /// Formats that `tracks.json` may name.
 pub const FORMATS: Registry<dyn TrackFormat> =
-    Registry { kind: "track format", items: &[&Npz, &Flo, &Exr, &Npy] };
+    Registry { kind: "track format", items: &[&Npz, &FLO, &EXR, &NPY] };

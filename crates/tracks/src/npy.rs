@@ -1,10 +1,9 @@
 //! Optical flow as a numpy array.
 
 use crate::error::TracksError;
-use crate::flow::RawFlow;
+use crate::flow::{FlowFormat, RawFlow};
 use ffgs_arrays::read_npy;
 use ffgs_core::ImageSize;
-use ffgs_method::{Fault, PixelCenter, Plugin, TrackFormat, Tracked};
 use std::path::Path;
 
 /// A flow of another size than its camera is still read, so that the error names the size, up to so many times its
@@ -12,28 +11,8 @@ use std::path::Path;
 const MAX_LARGER: usize = 16;
 
 /// Flow as a numpy array.
-pub(crate) struct Npy;
-
-impl Plugin for Npy {
-    fn name(&self) -> &'static str {
-        "npy"
-    }
-
-    fn summary(&self) -> &'static str {
-        "optical flow as a numpy array (H, W, 2) px"
-    }
-}
-
-impl TrackFormat for Npy {
-    fn is_dense(&self) -> bool {
-        true
-    }
-
-    fn read(&self, file: &Path, size: ImageSize, _: PixelCenter) -> Result<Tracked, Fault> {
-        let tracked = read(file, size).and_then(|flow| flow.into_motion(file, size));
-        tracked.map_err(|error| error.in_file(file))
-    }
-}
+pub(crate) const NPY: FlowFormat =
+    FlowFormat { name: "npy", summary: "optical flow as a numpy array (H, W, 2) px", read };
 
 fn read(file: &Path, expected: ImageSize) -> Result<RawFlow, TracksError> {
     let most = expected.pixels().saturating_mul(MAX_LARGER * size_of::<[f64; 2]>());

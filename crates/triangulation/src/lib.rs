@@ -13,7 +13,7 @@
 //!
 //! ```
 //! use ffgs_core::{Camera, Estimates, EstimateStatus, ImageSize, Intrinsics, Observations};
-//! use ffgs_triangulation::{Triangulator, WeightedRays};
+//! use ffgs_triangulation::WeightedRays;
 //! use glam::{DMat4, DVec3};
 //!
 //! let size = ImageSize { width: 64, height: 48 };
@@ -46,4 +46,4 @@ mod views;
 mod weighted_rays;
 
 pub use config::TriangulationConfig;
-pub use weighted_rays::{TriangulationError, Triangulator, WeightedRays};
+pub use weighted_rays::{TriangulationError, WeightedRays};

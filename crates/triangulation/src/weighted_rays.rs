@@ -40,22 +40,6 @@ pub enum TriangulationError {
     Config(Box<TriangulationConfig>),
 }
 
-/// Lifts one tracker's displaced projections to positions with covariances.
-pub trait Triangulator: Sync {
-    /// Fills `out` (columns of length N) from the previous means (N, m), the V cameras **at time t** and the (V, N)
-    /// observations. What fails for a Gaussian is its status; then its mean is the previous one, its covariance zero.
-    ///
-    /// # Errors
-    /// [`TriangulationError`] when shapes do not match or settings are out of range.
-    fn triangulate(
-        &self,
-        previous: &[DVec3],
-        cameras: &[Camera],
-        observations: &Observations,
-        out: &mut Estimates,
-    ) -> Result<(), TriangulationError>;
-}
-
 /// Weighted least squares over viewing rays (Algorithm 1, lines 21 to 24), robust, refined to the maximum-likelihood
 /// point, with a noise scale shrunk to what all Gaussians of the tracker and frame show.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,8 +48,14 @@ pub struct WeightedRays {
     pub config: TriangulationConfig,
 }
 
-impl Triangulator for WeightedRays {
-    fn triangulate(
+impl WeightedRays {
+    /// Lifts one tracker's displaced projections to positions with covariances. Fills `out` (columns of length N) from the
+    /// previous means (N, m), the V cameras **at time t** and the (V, N) observations. What fails for a Gaussian is its
+    /// status; then its mean is the previous one, its covariance zero.
+    ///
+    /// # Errors
+    /// [`TriangulationError`] when shapes do not match or settings are out of range.
+    pub fn triangulate(
         &self,
         previous: &[DVec3],
         cameras: &[Camera],

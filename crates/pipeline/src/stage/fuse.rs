@@ -4,7 +4,7 @@ use super::input::{ANY, Input, flat_matrices3, flat_points3, matrices3, points3}
 use anyhow::Result;
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{EstimateStatus, Estimates};
-use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, MotionFuser};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser};
 use glam::{DMat3, DVec3};
 
 pub(super) fn run(input: &Input, config: FusionConfig) -> Result<NpzWriter> {

@@ -4,7 +4,7 @@ use super::input::{ANY, Input, flat_matrices3, flat_points3, points2, points3};
 use anyhow::Result;
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{EstimateStatus, Estimates, ImageSize, Observations};
-use ffgs_triangulation::{Triangulator, WeightedRays};
+use ffgs_triangulation::WeightedRays;
 
 /// Rays need no image borders.
 const ANY_SIZE: ImageSize = ImageSize { width: 1, height: 1 };

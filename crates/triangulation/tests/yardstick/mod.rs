@@ -1,5 +1,5 @@
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
-use ffgs_triangulation::{TriangulationConfig, Triangulator, WeightedRays};
+use ffgs_triangulation::{TriangulationConfig, WeightedRays};
 use glam::{DMat3, DVec2, DVec3};
 
 /// A triangulation problem with known truth.

@@ -1,4 +1,4 @@
-//! Training and rendering on the device of a run: each function has a CPU and a GPU twin.
+//! Training and rendering on the device of a run: each function picks the CPU or a GPU.
 
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
@@ -11,14 +11,14 @@ use ffgs_trainer::{
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
 
-/// Where lanes run: dealt over GPUs, dynamic, static, sky; none = the CPU. Everything else is done by the first.
+/// Device of each training lane: GPU i mod n for dynamic, static, sky; none = the CPU. GPU 0 does the rest.
 #[derive(Clone, Copy)]
-pub(crate) struct Lanes<'a>(pub &'a [SceneDevice]);
+pub(crate) struct Devices<'a>(pub &'a [SceneDevice]);
 
-/// What is told after a step.
+/// Progress callback, called after every step.
 type Report<'a> = &'a mut dyn FnMut(Progress);
 
-impl<'a> Lanes<'a> {
+impl<'a> Devices<'a> {
     /// The GPU of a lane: 0 = dynamic, 1 = static, 2 = sky.
     fn gpu(self, lane: usize) -> Option<&'a SceneDevice> {
         self.0.get(lane.checked_rem(self.0.len())?)
