@@ -82,7 +82,7 @@ pub fn finetune<B: TrainBackend>(
         ..LayerTask::new(&mut layer, views, Around::Sky(sky))
     };
     let trained = backend.upload_layer(task).and_then(|mut training| {
-        schedule.run(&mut training, count, &mut |_, _| Ok(()), &mut |_| {})?;
+        schedule.run(&mut training, count, |_, _| Ok(()), &mut |_| {})?;
         training.download()
     });
     *gaussians = Arc::unwrap_or_clone(layer);

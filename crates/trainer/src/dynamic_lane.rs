@@ -142,7 +142,7 @@ fn train<B: TrainBackend>(
         rates: &|iteration| config.rates(iteration, extent),
     };
     loop {
-        schedule.run(&mut training, views, &mut |_, _| Ok(()), report)?;
+        schedule.run(&mut training, views, |_, _| Ok(()), report)?;
         if !training.must_repeat()? {
             return training.download();
         }

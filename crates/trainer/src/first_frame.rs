@@ -103,12 +103,7 @@ pub fn train_first_frame<B: TrainBackend>(
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
         rates: &|iteration| rates(config, iteration, extent),
     };
-    schedule.run(
-        &mut training,
-        views.len(),
-        &mut |done, training| rounds.after_step(done, training),
-        report,
-    )?;
+    schedule.run(&mut training, views.len(), |done, training| rounds.after_step(done, training), report)?;
     training.download()?;
     Ok(FirstFrame { gaussians: Arc::unwrap_or_clone(layer), sky })
 }

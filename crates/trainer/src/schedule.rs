@@ -59,7 +59,7 @@ impl Schedule<'_> {
         &self,
         training: &mut L,
         views: usize,
-        after: &mut dyn FnMut(usize, &mut L) -> Result<(), L::Error>,
+        mut after: impl FnMut(usize, &mut L) -> Result<(), L::Error>,
         report: &mut dyn FnMut(Progress),
     ) -> Result<(), L::Error> {
         let mut epochs = Epochs::new((0..views).collect(), self.seed);

@@ -30,6 +30,6 @@ pub(super) fn train<B: TrainBackend>(
         sh_degree: &|_| None,
         rates: &|_| config.static_rates(),
     };
-    schedule.run(&mut training, views.len(), &mut |_, _| Ok(()), report)?;
+    schedule.run(&mut training, views.len(), |_, _| Ok(()), report)?;
     training.download()
 }

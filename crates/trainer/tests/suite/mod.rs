@@ -275,7 +275,7 @@ pub(crate) fn what_is_fixed_stays<B: TrainBackend>(backend: &B) {
     let rates =
         LearningRates { means: 0.0, quats: 0.0, scales: 1e-2, opacities: 1e-2, sh0: 1e-2, sh_rest: 1e-3 };
     let schedule = Schedule { iterations: 12, seed: SEED, sh_degree: &|_| None, rates: &|_| rates };
-    schedule.run(&mut training, world.views.len(), &mut |_, _| Ok(()), &mut |_| {}).unwrap();
+    schedule.run(&mut training, world.views.len(), |_, _| Ok(()), &mut |_| {}).unwrap();
     training.download().unwrap();
     let [front, before] = [&*layer, &start].map(|g| g.select(&(0..fixed).collect::<Vec<_>>()));
     assert!(front == before, "the Gaussians at the front");
