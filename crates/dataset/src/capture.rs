@@ -148,12 +148,18 @@ impl Capture {
     /// # Errors
     /// When the file is missing or damaged.
     pub fn initial_points(&self) -> Result<Points, DatasetError> {
-        points::read(&self.points_path(), DVec3::ZERO)
+        points::read(&self.points_path(), DVec3::ZERO, self.training_pixels())
     }
 
     /// The same relative to [`Capture::origin`].
     pub(crate) fn near_points(&self) -> Result<Points, DatasetError> {
-        points::read(&self.points_path(), self.origin)
+        points::read(&self.points_path(), self.origin, self.training_pixels())
+    }
+
+    /// Pixels of the training images of a frame.
+    fn training_pixels(&self) -> usize {
+        let views = 0..self.views(Split::Train).len();
+        views.filter_map(|view| self.camera(Split::Train, view, 0).ok()).map(|c| c.size().pixels()).sum()
     }
 
     /// A place near the cameras, where these are so far from zero that f32 would blur them (m); else zero.

@@ -8,11 +8,17 @@ use std::path::Path;
 
 /// More points than any scene starts from: as many Gaussians take four gigabytes.
 const MAX_POINTS: usize = 1 << 24;
+/// So many any capture may have; beyond them no more than [`POINTS_PER_PIXEL`], so that a small file cannot pretend to hold
+/// millions.
+const ALWAYS: usize = 1 << 20;
+/// Points per pixel of the training images of a frame: these have much fewer even where each pixel was triangulated twice.
+const POINTS_PER_PIXEL: usize = 4;
 
-/// Reads `data` (N, 7) of the file, with positions relative to `origin` (m).
-pub(crate) fn read(file: &Path, origin: DVec3) -> Result<Points, DatasetError> {
-    let data = NpzFile::open_within(file, MAX_POINTS * size_of::<[f64; 7]>())?
-        .shaped::<f64>("data", &[None, Some(7)])?;
+/// Reads `data` (N, 7) of the file, with positions relative to `origin` (m), for training images of so many pixels in all.
+pub(crate) fn read(file: &Path, origin: DVec3, pixels: usize) -> Result<Points, DatasetError> {
+    let most = pixels.saturating_mul(POINTS_PER_PIXEL).clamp(ALWAYS, MAX_POINTS);
+    let data =
+        NpzFile::open_within(file, most * size_of::<[f64; 7]>())?.shaped::<f64>("data", &[None, Some(7)])?;
     let mut cloud = Points::default();
     for row in data.rows::<7>().unwrap_or_default() {
         if row.iter().all(|v| (*v as f32).is_finite()) {

@@ -292,6 +292,9 @@ fn bombs_are_judged_by_their_headers() {
     let points = folder.path().join("init_pt_cld.npz");
     NpzWriter::new().u8("data", &[rows, 6], &data).write(&points).unwrap();
     assert_fault(folder.path(), "expected shape (*, 7), found [1048576, 6]");
+    let rows = rows + 1;
+    NpzWriter::new().u8("data", &[rows, 7], &vec![0; 7 * rows]).write(&points).unwrap();
+    assert_fault(folder.path(), "shape [1048577, 7] is too large");
 }
 
 #[cfg(unix)]

@@ -3,6 +3,7 @@
 use crate::{Fault, Plugin};
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use glam::DVec3;
+use std::collections::HashSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -170,10 +171,46 @@ impl Points {
         self.foreground.iter().filter(|f| **f).count()
     }
 
+    /// The points without those that lie exactly where an earlier one lies, which tell nothing of the surface and are seldom
+    /// meant; and how many these were. A search for neighbours among many points of one place takes quadratic time.
+    pub fn distinct(self) -> (Self, usize) {
+        let mut taken = HashSet::new();
+        let mut kept = Self { dropped: self.dropped, ..Self::default() };
+        for (i, position) in self.positions.iter().enumerate() {
+            // Zero has two signs.
+            if taken.insert(position.map(|v| (v + 0.0).to_bits())) {
+                kept.positions.push(*position);
+                kept.colours.push(self.colours[i]);
+                kept.foreground.push(self.foreground[i]);
+            }
+        }
+        let left_out = self.len() - kept.len();
+        (kept, left_out)
+    }
+
     /// Appends a point: x, y, z (m), r, g, b (clamped to 0..=1).
     pub fn push(&mut self, [x, y, z, r, g, b]: [f32; 6], foreground: bool) {
         self.positions.push([x, y, z]);
         self.colours.push([r, g, b].map(|c| c.clamp(0.0, 1.0)));
         self.foreground.push(foreground);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_point_of_each_place_stays() {
+        let mut points = Points { dropped: 3, ..Points::default() };
+        for (x, red, foreground) in
+            [(1.0, 0.1, true), (0.0, 0.2, false), (1.0, 0.3, false), (-0.0, 0.4, true)]
+        {
+            points.push([x, 0.0, 2.0, red, 0.0, 0.0], foreground);
+        }
+        let (kept, left_out) = points.distinct();
+        assert_eq!((left_out, kept.dropped), (2, 3));
+        assert_eq!(kept.positions, [[1.0, 0.0, 2.0], [0.0, 0.0, 2.0]]);
+        assert_eq!((kept.colours[1][0], kept.foreground), (0.2, vec![true, false]));
     }
 }

@@ -13,7 +13,10 @@ pub(crate) fn start(
     degree: usize,
     views: &[TrainingView],
 ) -> Result<FirstFrame> {
-    let points = capture.points()?.context("the capture has no initial points")?;
+    let (points, repeated) = capture.points()?.context("the capture has no initial points")?.distinct();
+    if repeated > 0 {
+        tracing::warn!("{repeated} initial points lie exactly where others lie and are left out");
+    }
     let gaussians = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
     let gaussians = gaussians.select(&spatial_order(&gaussians.means));
     Ok(FirstFrame { gaussians, sky: SkyCube::filled(config.sky_face_size, mean_colour(views)) })
