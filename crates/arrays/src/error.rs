@@ -29,7 +29,7 @@ pub enum Cause {
     /// Not a zip archive, or a damaged one.
     #[error("not a readable npz (zip) archive, perhaps truncated: {0}")]
     Archive(String),
-    /// The archive holds no such array.
+    /// The archive holds no such array, but these, of which the first are told.
     #[error("missing; the file holds {0:?}")]
     MissingKey(Vec<String>),
     /// Not an npy header.

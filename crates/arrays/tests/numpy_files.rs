@@ -82,6 +82,20 @@ fn an_array_that_is_too_large_or_of_another_shape_is_refused_from_its_header() {
 }
 
 #[test]
+fn a_missing_array_is_told_with_a_few_of_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("many.npz");
+    let names: Vec<String> = (0..40).map(|i| format!("{i:03}{}", "x".repeat(500))).collect();
+    let mut writer = NpzWriter::new();
+    for name in &names {
+        writer.u8(name, &[1], &[0]);
+    }
+    writer.write(&path).unwrap();
+    let error = NpzFile::open(&path).unwrap().u8("data").unwrap_err().to_string();
+    assert!(error.contains("'data': missing; the file holds [\"000xx") && error.len() < 1000, "{error}");
+}
+
+#[test]
 fn blocks_join_without_a_seam() {
     let data: Vec<f64> = (0..20_000).map(f64::from).collect();
     let bytes: Vec<u8> = data.iter().flat_map(|v| v.to_be_bytes()).collect();

@@ -2,7 +2,7 @@
 
 use crate::PrepareError;
 use crate::camera_lists::write_json;
-use ffgs_core::{Camera, write_atomically};
+use ffgs_core::{Camera, open_input, write_atomically};
 use ffgs_dataset::{Capture, Points, Split};
 use glam::{DMat4, DQuat};
 use serde_json::{Value, json};
@@ -69,11 +69,18 @@ fn shots(capture: &Capture, frame: usize, out: &Path) -> Result<Vec<Shot>, Prepa
             let file = format!("{}.{ending}", view.name.replace('/', "_"));
             let to = out.join("images").join(&file);
             fs::create_dir_all(out.join("images")).map_err(|e| PrepareError::io(out, e))?;
-            fs::copy(&from, &to).map_err(|e| PrepareError::io(&from, e))?;
+            copy(&from, &to)?;
             shots.push(Shot { camera: capture.camera(split, v, frame)?, file, test: split == Split::Test });
         }
     }
     Ok(shots)
+}
+
+/// Copies a picture; an error names the file that it is about.
+fn copy(from: &Path, to: &Path) -> Result<(), PrepareError> {
+    let mut source = open_input(from).map_err(|e| PrepareError::io(from, e))?;
+    write_atomically(to, |out| io::copy(&mut source, out).map(|_| ()))
+        .map_err(|e: io::Error| PrepareError::io(to, e))
 }
 
 /// OpenGL's axes, camera to world.
