@@ -20,6 +20,20 @@ pub fn is_present(path: &Path) -> bool {
     !fs::symlink_metadata(path).is_err_and(|error| error.kind() == ErrorKind::NotFound)
 }
 
+/// Refuses a link. Folders come from others too, and what is written through a link of theirs lies where they want it.
+///
+/// # Errors
+/// When the path is a link, wherever it leads.
+pub fn refuse_link(path: &Path) -> io::Result<()> {
+    match fs::symlink_metadata(path) {
+        Ok(info) if info.is_symlink() => Err(io::Error::new(
+            ErrorKind::InvalidInput,
+            "a link, through which nothing is written; remove it",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Reads a file of at most `max_bytes` that someone else wrote.
 ///
 /// # Errors

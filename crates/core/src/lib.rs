@@ -24,7 +24,7 @@ pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
 pub use estimate::{EstimateStatus, Estimates, Observations};
 pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
-pub use input_file::{is_present, open_input, read_bytes, read_text};
+pub use input_file::{is_present, open_input, read_bytes, read_text, refuse_link};
 pub use instructions::{NoSuchInstructions, check_instructions, instruction_set, instructions};
 pub use mask::Mask;
 pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};

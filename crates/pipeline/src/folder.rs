@@ -1,7 +1,7 @@
 //! The output folder of a run.
 
 use anyhow::{Context, Result};
-use ffgs_core::{is_present, read_bytes};
+use ffgs_core::{is_present, read_bytes, refuse_link};
 use std::path::{Path, PathBuf};
 
 /// Most bytes that a method may keep for the next frame.
@@ -54,6 +54,33 @@ impl RunFolder {
         self.0.join("motion-accuracy.json")
     }
 
+    /// Refuses a folder whose parts are links: what is written or removed through them lies elsewhere.
+    ///
+    /// # Errors
+    /// Names the link.
+    pub fn refuse_links(&self) -> Result<()> {
+        let frames = self.0.join("frames");
+        refuse_link_at(&frames)?;
+        for frame in entries(&frames) {
+            refuse_link_at(&frame)?;
+            refuse_link_at(&frame.join("test"))?;
+        }
+        Ok(())
+    }
+
+    /// Where a command writes unless it is told another place: a folder of this name, and one in it.
+    ///
+    /// # Errors
+    /// When one of them is a link.
+    pub fn inside(&self, names: &[&str]) -> Result<PathBuf> {
+        let mut path = self.0.clone();
+        for name in names {
+            path.push(name);
+            refuse_link_at(&path)?;
+        }
+        Ok(path)
+    }
+
     /// Removes the half-written files of runs that were killed; only for who holds the folder.
     ///
     /// # Errors
@@ -75,6 +102,10 @@ impl RunFolder {
     }
 }
 
+fn refuse_link_at(path: &Path) -> Result<()> {
+    refuse_link(path).with_context(|| format!("cannot write into {}", path.display()))
+}
+
 /// What a folder holds; nothing for none.
 fn entries(folder: &Path) -> Vec<PathBuf> {
     std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
@@ -90,6 +121,26 @@ fn is_half_written(file: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn links_that_lead_out_of_the_folder_are_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let (run, outside) = (RunFolder(place.path().join("run")), place.path().join("outside"));
+        std::fs::create_dir_all(run.frame(0)).unwrap();
+        std::fs::create_dir(&outside).unwrap();
+        run.refuse_links().unwrap();
+        assert_eq!(run.inside(&["export", "spz"]).unwrap(), run.0.join("export/spz"));
+        for link in [run.frame(0).join("test"), run.frame(1), run.0.join("export/spz"), run.0.join("renders")]
+        {
+            std::fs::create_dir_all(link.parent().unwrap()).unwrap();
+            std::os::unix::fs::symlink(&outside, &link).unwrap();
+            let ended = run.refuse_links().and(run.inside(&["export", "spz"])).and(run.inside(&["renders"]));
+            let told = format!("{:#}", ended.unwrap_err());
+            assert!(told.contains(&link.display().to_string()) && told.contains("remove it"), "{told}");
+            std::fs::remove_file(link).unwrap();
+        }
+    }
 
     #[test]
     fn only_half_written_files_are_removed() {

@@ -4,6 +4,7 @@
 //! systems have none, or do not tell other machines of it. For these the file says who holds it and when that process was
 //! last alive.
 
+use crate::folder::RunFolder;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -44,11 +45,16 @@ impl FolderLock {
     /// Takes the folder, which is made when there is none.
     ///
     /// # Errors
-    /// When another process writes into it, or the lock file cannot be written.
+    /// When another process writes into it, the lock file cannot be written, or parts of the folder are links.
     pub fn take(folder: &Path) -> Result<Self> {
         let path = folder.join("run.lock");
         let cannot = || format!("cannot write {}; is the folder writable, the disk full?", path.display());
         std::fs::create_dir_all(folder).with_context(cannot)?;
+        RunFolder(folder.to_owned()).refuse_links()?;
+        // A link or a pipe of whoever made the folder would be written through.
+        if std::fs::symlink_metadata(&path).is_ok_and(|info| !info.is_file()) {
+            bail!("{} is a link, pipe or folder and no lock; remove it", path.display());
+        }
         for _ in 0..TRIES {
             let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = options.with_context(cannot)?;
@@ -174,6 +180,26 @@ mod tests {
         drop(FolderLock::take(folder.path()).unwrap());
         std::fs::write(folder.path().join("run.lock"), "damaged").unwrap();
         drop(FolderLock::take(folder.path()).unwrap());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_lock_file_is_not_written_through() {
+        let folder = tempfile::tempdir().unwrap();
+        let (lock, other) = (folder.path().join("run.lock"), folder.path().join("other"));
+        std::fs::write(&other, "precious").unwrap();
+        std::os::unix::fs::symlink(&other, &lock).unwrap();
+        let told = FolderLock::take(folder.path()).unwrap_err().to_string();
+        assert!(told.contains("run.lock is a link"), "{told}");
+        assert_eq!(std::fs::read_to_string(&other).unwrap(), "precious");
+        std::fs::remove_file(&lock).unwrap();
+        std::fs::create_dir(&lock).unwrap();
+        assert!(
+            FolderLock::take(folder.path())
+                .unwrap_err()
+                .to_string()
+                .contains("run.lock is a link, pipe or folder")
+        );
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! The files of the page that plays streams.
 
 use anyhow::{Context, Result, bail};
+use ffgs_core::write_atomically;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Our own, by their names.
@@ -34,13 +36,17 @@ pub(crate) fn engine() -> Result<PathBuf> {
     }
 }
 
+fn put(file: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomically(file, |out| out.write_all(bytes))
+        .with_context(|| format!("cannot write {}", file.display()))
+}
+
 /// Puts the page into a folder, to be served by any web server.
 pub(crate) fn write_page(folder: &Path) -> Result<()> {
     let engine = engine()?;
     for (name, text) in FILES {
-        std::fs::write(folder.join(name), text).with_context(|| format!("cannot write {name}"))?;
+        put(&folder.join(name), text.as_bytes())?;
     }
-    std::fs::copy(&engine, folder.join(ENGINE))
-        .with_context(|| format!("cannot copy {}", engine.display()))?;
-    Ok(())
+    let bytes = std::fs::read(&engine).with_context(|| format!("cannot read {}", engine.display()))?;
+    put(&folder.join(ENGINE), &bytes)
 }

@@ -3,6 +3,7 @@
 use crate::args::RenderArgs;
 use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
+use crate::folder::RunFolder;
 use crate::scoring::{render as render_scene, write_png};
 use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
@@ -41,7 +42,7 @@ pub fn render(args: &RenderArgs) -> Result<()> {
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
     };
-    let out = args.out.clone().unwrap_or_else(|| args.run.join("renders"));
+    let out = args.out.clone().map_or_else(|| RunFolder(args.run.clone()).inside(&["renders"]), Ok)?;
     let gpus = args.device.open()?;
     let bar = progress(args.log.quiet, "views", views.len());
     for group in views.chunks(VIEWS_AT_ONCE) {

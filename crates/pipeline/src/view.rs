@@ -4,6 +4,7 @@ use crate::args::LogArgs;
 use crate::cameras::Views;
 use crate::export::stream::{StreamExport, StreamOptions};
 use crate::finished_run::FinishedRun;
+use crate::folder::RunFolder;
 use crate::page::{ENGINE, FILES, engine};
 use crate::terminal;
 use anyhow::{Context, Result, bail};
@@ -42,7 +43,11 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 pub fn view(args: &ViewArgs) -> Result<()> {
     let engine = engine()?;
     let is_run = args.folder.join("run.json").exists();
-    let stream = if is_run { args.folder.join("export/stream") } else { args.folder.clone() };
+    let stream = if is_run {
+        RunFolder(args.folder.clone()).inside(&["export", "stream"])?
+    } else {
+        args.folder.clone()
+    };
     if !is_run && !stream.join("manifest.json").exists() {
         bail!(
             "{} is neither a run (run.json) nor a stream (manifest.json); reconstruct a capture with ffgs run first",

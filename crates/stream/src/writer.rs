@@ -5,7 +5,7 @@ use crate::manifest::{Entry, FRAMES, MANIFEST, Manifest, read_entries};
 use crate::motion::{Motion, Pair, clusters, nearest, robust_fit};
 use crate::row::{MAX_GROUPS, Row};
 use crate::steps::{Measures, Precision, Steps};
-use ffgs_core::{Gaussians, spatial_order, write_atomically};
+use ffgs_core::{Gaussians, refuse_link, spatial_order, write_atomically};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -221,6 +221,7 @@ impl Writer {
         };
         let list = self.folder.join(FRAMES);
         let line = serde_json::to_string(&entry).in_file(&list)? + "\n";
+        refuse_link(&list).in_file(&list)?;
         let mut out = OpenOptions::new().create(true).append(true).open(&list).in_file(&list)?;
         out.write_all(line.as_bytes()).and_then(|()| out.sync_data()).in_file(&list)?;
         Ok(entry)

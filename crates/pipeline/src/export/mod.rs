@@ -7,6 +7,7 @@ pub(crate) mod stream;
 
 pub use args::{ExportArgs, Layer};
 
+use crate::folder::RunFolder;
 use anyhow::Result;
 use args::{SITE, STREAM};
 use ffgs_splats::FORMATS;
@@ -16,7 +17,8 @@ use ffgs_splats::FORMATS;
 /// # Errors
 /// When the run cannot be read, the folder holds another export, or a file cannot be written.
 pub fn export(args: &ExportArgs) -> Result<()> {
-    let out = args.out.clone().unwrap_or_else(|| args.run.join("export").join(&args.to));
+    let out =
+        args.out.clone().map_or_else(|| RunFolder(args.run.clone()).inside(&["export", &args.to]), Ok)?;
     if args.to == STREAM || args.to == SITE {
         return stream::export_stream(args, &out, args.to == SITE);
     }
