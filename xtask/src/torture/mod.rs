@@ -54,7 +54,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// The few cases of CI
-    #[arg(skip)]
+    #[arg(long = "few")]
     in_ci: bool,
     /// Which of the samples of calls comes first
     #[arg(skip)]
