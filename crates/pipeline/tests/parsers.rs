@@ -46,6 +46,8 @@ fn no_parser_gives_up_on_damaged_bytes() {
             assert!(parse(&file) || !is_sound, "{name}: a sound file is refused");
             let mut random =
                 Random(seed ^ name.bytes().fold(0, |sum, byte| 31_u64.wrapping_mul(sum) + u64::from(byte)));
+            // The reached ones are many, and damaged themselves.
+            let copies = if is_sound { copies } else { copies / 20 };
             for copy in 0..copies {
                 let mut bytes = file.clone();
                 damage(&mut random, &mut bytes);
