@@ -99,7 +99,11 @@ impl<'a> Job<'a> {
         if !check.is_usable() {
             bail!("the capture cannot be used:\n{check}");
         }
-        let capture = open_capture(&request.capture)?;
+        Self::on(open_capture(&request.capture)?, request)
+    }
+
+    /// The job on a capture that can be used.
+    fn on(capture: Box<dyn Capture>, request: &'a RunRequest) -> Result<Self> {
         let views = select_views(&*capture, request.train_views.as_deref())?;
         if views.len() < 2 {
             bail!("positions need at least two training views; {} selected", views.len());
@@ -531,56 +535,4 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Config;
-    use crate::device::Device;
-    use crate::request::FrameRange;
-    use std::path::Path;
-
-    /// A short run of the sample on GPUs, every lane on them.
-    fn request(out: &Path, gpus: &[usize], frames: usize, resume: bool) -> RunRequest {
-        let mut config = Config::default();
-        config.first_frame.iterations = 3;
-        config.dynamic.iterations = 4;
-        config.background.static_method = ffgs_trainer::StaticMethod::Steps;
-        config.background.static_iterations = 3;
-        config.background.sky_iterations = 3;
-        RunRequest {
-            capture: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini"),
-            out: out.to_owned(),
-            resume,
-            method: None,
-            frames: Some(FrameRange { start: 0, end: Some(frames) }),
-            train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
-            first_frame: None,
-            device: Device::Gpu(gpus.to_vec()),
-            quiet: true,
-            config,
-        }
-    }
-
-    /// Several GPUs, one lost in the second frame, and a run that was never disturbed on one: equal bytes.
-    #[test]
-    #[ignore = "needs a GPU"]
-    fn a_lost_gpu_ends_the_frame_and_a_resumed_run_ends_as_one_that_never_stopped() {
-        let folder = tempfile::tempdir().unwrap();
-        let [whole, cut] = ["whole", "cut"].map(|name| folder.path().join(name));
-        let state = |out: &Path, frame: usize| std::fs::read(RunFolder(out.to_owned()).state(frame)).unwrap();
-        run(&request(&cut, &[0, 0, 0], 1, false)).unwrap();
-        let first = state(&cut, 0);
-        run(&RunRequest { first_frame: Some(cut.clone()), ..request(&whole, &[0], 2, false) }).unwrap();
-        let request_cut = request(&cut, &[0, 0, 0], 2, true);
-        let job = Job::open(&request_cut).unwrap();
-        assert_eq!(job.gpus.len(), 3);
-        job.gpus[2].gpu.lose_after(2);
-        let error = format!("{:#}", run_frames(&job).unwrap_err());
-        assert!(error.contains("the GPU was lost") && error.contains("--resume"), "{error}");
-        assert!(!job.folder.state(1).exists(), "the frame did not finish");
-        assert!(state(&cut, 0) == first, "the finished frame stays");
-        drop(job);
-
-        run(&request(&cut, &[0, 0, 0], 2, true)).unwrap();
-        assert!(state(&cut, 1) == state(&whole, 1));
-    }
-}
+mod tests;
