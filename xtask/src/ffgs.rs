@@ -23,8 +23,11 @@ const FFGS: Program = Program {
         "devices",
     ],
 };
-const LAB: Program =
-    Program { package: "ffgs-lab", name: "ffgs-lab", commands: &["motion-eval", "simulate", "ablations"] };
+const LAB: Program = Program {
+    package: "ffgs-lab",
+    name: "ffgs-lab",
+    commands: &["motion-eval", "simulate", "ablations", "compare"],
+};
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
 pub(crate) fn pipeline(root: &Path, args: Vec<String>) -> Result<ExitCode> {

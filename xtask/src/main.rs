@@ -2,7 +2,6 @@
 
 mod bench;
 mod ci;
-mod compare;
 mod ffgs;
 mod fixtures;
 mod fuzz;
@@ -41,6 +40,7 @@ Every command of ffgs and of ffgs-lab passes through, with the program built in 
   cargo xtask motion-eval CAPTURE               the motion initialisation against ground truth
   cargo xtask simulate                          the fusion on simulated scenes
   cargo xtask ablations [CAPTURE]               every single change of the configuration
+  cargo xtask compare [CAPTURE]                 all trackers, none, and each alone
   cargo xtask devices                           the GPUs, and which one a run takes
   cargo xtask COMMAND --help                    the options of one of them";
 
@@ -74,11 +74,6 @@ enum Command {
         /// Only these steps, by the names that the table at the end shows.
         #[arg(value_name = "STEP")]
         only: Vec<String>,
-    },
-    /// Run a capture with all trackers fused, with none and with each alone, and print the table of the README.
-    Compare {
-        #[command(flatten)]
-        options: compare::Options,
     },
     /// Time everything on the CPU, or a training step on a GPU, beside what the machine can do at best; docs/bench
     /// explains the tables.
@@ -180,7 +175,6 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),
-        Command::Compare { options } => compare::run(&root, &options)?,
         Command::Bench { options } => bench::run(&root, &options)?,
         Command::Supply { sbom } => println!("{}", supply::run(&root, sbom.as_deref())?),
         #[cfg(unix)]

@@ -1,6 +1,7 @@
 //! The command line of `ffgs-lab`.
 
 use crate::ablations::{self, AblationArgs};
+use crate::compare::{self, CompareArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
 use anyhow::Result;
@@ -24,6 +25,8 @@ enum Command {
     Simulate(SimulateArgs),
     /// Score the configuration, our most literal reading of Algorithm 1, and every single change
     Ablations(AblationArgs),
+    /// Run a capture with all trackers fused, with none and with each alone, and print the table of docs/COMPARISON.md
+    Compare(CompareArgs),
 }
 
 /// Runs the program on its command line. An error is printed with its causes.
@@ -44,6 +47,10 @@ fn dispatch(command: Command) -> Result<()> {
         Command::Ablations(args) => {
             args.source.log.start();
             ablations::run(&args)
+        }
+        Command::Compare(args) => {
+            args.log.start();
+            compare::run(&args)
         }
     }
 }

@@ -4,6 +4,7 @@
 pub mod ablations;
 mod cells;
 pub mod cli;
+mod compare;
 pub mod evaluation;
 pub mod motion_eval;
 mod simulate;
