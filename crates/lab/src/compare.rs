@@ -54,7 +54,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
             request.first_frame = Some(first.clone());
             request.config.dynamic.iterations = iterations;
             run::run(&request)?;
-            terminal::print(&row(&method, iterations, &read_json(&folder.join("metrics.json"))?));
+            terminal::print(row(&method, iterations, &read_json(&folder.join("metrics.json"))?));
         }
     }
     Ok(())
