@@ -2,6 +2,7 @@ use crate::alignment::align;
 use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
+use ffgs_fusion::Groups;
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
@@ -71,14 +72,17 @@ pub fn move_by(
         log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
-    let mut aligning = Duration::ZERO;
-    let refine = &mut |groups: &mut _| {
+    let (mut aligning, mut unaligned) = (Duration::ZERO, 0);
+    let refine = &mut |groups: &mut Groups| {
         let start = Instant::now();
         let (config, rotate) = (&input.config.alignment, input.config.association.rotate);
-        align(config, rotate, input.step.now, &dynamic.gaussians, groups);
-        aligning = start.elapsed();
+        let aligned = align(config, rotate, input.step.now, &dynamic.gaussians, groups);
+        (aligning, unaligned) = (start.elapsed(), groups.found.len() - aligned);
     };
     let fused = fuse::fuse(input, observations, &estimates, dynamic, refine, log)?;
+    if input.config.alignment.steps > 0 {
+        log.skip("rigid groups that the photographs could not align", unaligned);
+    }
     log.add_seconds("alignment", aligning.as_secs_f64());
     log.add_seconds("fusion", -aligning.as_secs_f64());
     fuse::apply(input, fused, dynamic, log);

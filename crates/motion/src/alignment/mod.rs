@@ -128,6 +128,8 @@ fn correction(config: &AlignmentConfig, group: &Group, patches: &[Patch]) -> Opt
     let known = known.cholesky()?.inverse() * config.trackers;
     let pixel_m = patches.iter().map(|p| p.pixel_m(centre)).fold(f64::INFINITY, f64::min);
     let shared = (config.shared_px * pixel_m).powi(2);
+    let places = patches.iter().flat_map(|p| p.points);
+    let radius = places.map(|point| point.place.distance(centre)).fold(0.0, f64::max);
     let first = Joint::new(patches, &start)?;
     let (mut motion, mut joint, mut covariance) = (start, first.clone(), None);
     for _ in 0..config.steps {
@@ -139,7 +141,7 @@ fn correction(config: &AlignmentConfig, group: &Group, patches: &[Patch]) -> Opt
         covariance = Some(fused.inverse());
         motion = moved(motion, &change);
         joint = Joint::new(patches, &motion)?;
-        if change.amax() < CONVERGED {
+        if largest_shift(&change, radius) < CONVERGED_PX * pixel_m {
             break;
         }
     }
@@ -147,8 +149,13 @@ fn correction(config: &AlignmentConfig, group: &Group, patches: &[Patch]) -> Opt
     (finite && joint.scale <= first.scale).then_some(Correction { motion, covariance: covariance? })
 }
 
-/// A change below this (m, rad) ends the steps.
-const CONVERGED: f64 = 1e-5;
+/// A change that shifts no point of the group by more than this (px of the nearest view) ends the steps.
+const CONVERGED_PX: f64 = 1e-3;
+
+/// At most so far (m) does a change move a point within `radius` (m) of the centre.
+fn largest_shift(change: &Unknowns, radius: f64) -> f64 {
+    change.fixed_rows::<3>(0).norm() + radius * change.fixed_rows::<3>(3).norm()
+}
 
 /// A motion as step and rotation vector.
 fn offset(motion: &RigidMotion) -> Unknowns {
