@@ -18,15 +18,19 @@ const SHADOW_COLOUR: f32 = 7.0;
 /// and counts for so much.
 const SHADOW_SCORE: f32 = 0.3;
 
-/// How much each pixel differs from the background, smoothed over 3 x 3 pixels.
-pub(crate) fn scores(image: &ImageRgb8, background: &Background) -> Vec<f32> {
+/// How much each pixel differs from the background.
+pub(crate) fn raw(image: &ImageRgb8, background: &Background) -> Vec<f32> {
     let gain = background.gain(image);
     let score = |i: usize| {
         let here: [f32; 3] = std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c]);
-        score(here, background.colour[i], background.spread[i]).min(HIGHEST)
+        score(here, background.colour[i], background.spread[i])
     };
-    let raw: Vec<f32> = (0..background.size.pixels()).map(score).collect();
-    smoothed(&raw, background.size)
+    (0..background.size.pixels()).map(score).collect()
+}
+
+/// Cut off above and smoothed over 3 x 3 pixels.
+pub(crate) fn scores(raw: &[f32], size: ImageSize) -> Vec<f32> {
+    smoothed(&raw.iter().map(|r| r.min(HIGHEST)).collect::<Vec<_>>(), size)
 }
 
 fn score(here: [f32; 3], there: [f32; 3], spread: f32) -> f32 {

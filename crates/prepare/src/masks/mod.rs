@@ -2,6 +2,7 @@
 
 mod background;
 mod contact_sheet;
+mod cut;
 mod difference;
 mod regions;
 
@@ -147,10 +148,13 @@ fn masks_of(
         ))
     };
     let loaded: Vec<_> = views.par_iter().map(load).collect::<Result<_, _>>()?;
-    let scores: Vec<Option<Vec<f32>>> = loaded
+    let raw: Vec<Option<Vec<f32>>> = loaded
         .par_iter()
         .zip(backgrounds)
-        .map(|((_, image), background)| background.as_ref().map(|b| difference::scores(image, b)))
+        .map(|((_, image), background)| background.as_ref().map(|b| difference::raw(image, b)))
+        .collect();
+    let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(&loaded))
+        .map(|(raw, (camera, _))| raw.as_ref().map(|raw| difference::scores(raw, camera.size())))
         .collect();
     let silhouettes: Vec<Silhouette> = loaded
         .iter()
@@ -160,11 +164,26 @@ fn masks_of(
             Some(Silhouette { camera: *camera, mask })
         })
         .collect();
-    Ok(agreed(&loaded.iter().map(|l| l.0).collect::<Vec<_>>(), &scores, &silhouettes))
+    let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
+    let refined = |(v, agreed): (usize, &Agreed)| {
+        let (Some(raw), Some(background)) = (&raw[v], &backgrounds[v]) else { return agreed.mask.clone() };
+        let votes = cut::votes(raw, &agreed.possible, &agreed.confirmed);
+        without_specks(&cut::cheapest(&votes, &loaded[v].1, background, &agreed.mask), SPECK, HOLE)
+    };
+    Ok(agreed(&cameras, &scores, &silhouettes).par_iter().enumerate().map(refined).collect())
+}
+
+/// The mask of a view, by what all views say.
+struct Agreed {
+    mask: Mask,
+    /// What no other view denies.
+    possible: Mask,
+    /// What the others see.
+    confirmed: Mask,
 }
 
 /// What no other view denies, and what the others see though the difference is weak here.
-fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Mask> {
+fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Agreed> {
     let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
     let region = common_region(&fixed);
     let (possible, seen) = (
@@ -174,7 +193,9 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
     let mut own = silhouettes.iter();
     let mut mask_of = |camera: &Camera, score: &Option<Vec<f32>>| {
         let add = seen.seen_by(camera, 0);
-        let Some(score) = score else { return add };
+        let Some(score) = score else {
+            return Agreed { mask: add.clone(), possible: add.clone(), confirmed: add };
+        };
         let own = &own.next().expect("a silhouette per score").mask;
         let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
         let data = (0..own.data().len()).map(|i| {
@@ -182,7 +203,7 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
             kept | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS))
         });
         let mask = Mask::new(camera.size(), data.collect()).expect("one value a pixel");
-        without_specks(&mask, SPECK, HOLE)
+        Agreed { mask: without_specks(&mask, SPECK, HOLE), possible: allowed, confirmed: add }
     };
     cameras.iter().zip(scores).map(|(c, s)| mask_of(c, s)).collect()
 }
