@@ -118,6 +118,17 @@ impl Gaussians {
         self.sh.extend_from_slice(other.sh_of(i));
     }
 
+    /// Gaussian `i` becomes Gaussian `from` of `other` (same SH degree).
+    pub fn set_from(&mut self, i: usize, other: &Self, from: usize) {
+        debug_assert_eq!(self.sh_degree, other.sh_degree);
+        self.means[i] = other.means[from];
+        self.quats[i] = other.quats[from];
+        self.log_scales[i] = other.log_scales[from];
+        self.opacity_logits[i] = other.opacity_logits[from];
+        let k = self.sh_stride();
+        self.sh[i * k..(i + 1) * k].copy_from_slice(other.sh_of(from));
+    }
+
     /// The Gaussians at `indices`, in that order.
     #[must_use]
     pub fn select(&self, indices: &[usize]) -> Self {

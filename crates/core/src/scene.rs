@@ -8,6 +8,11 @@ pub struct Scene {
     /// Stands still; only its colour changes. Shared, so that a device that holds it knows it again: who changes it
     /// (`Arc::make_mut`) makes another one.
     pub static_layer: Arc<Gaussians>,
+    /// In how many rounds a static Gaussian still is to be trained in full, because moving things hid it from most
+    /// views so far; one per static Gaussian, or empty when none was hidden.
+    pub hidden: Vec<u8>,
+    /// Variance of SH coefficient 0 and of each other coefficient of the static Gaussians; empty when unknown.
+    pub static_colours: Vec<[f32; 2]>,
     /// Moves every frame.
     pub dynamic: Dynamic,
     /// At infinity.

@@ -7,8 +7,10 @@ use std::sync::Arc;
 /// Moves the static layer behind the Gaussians of the dynamic one, where its Gaussians get ids. What is known of the
 /// dynamic layer's positions is dropped: these methods estimate no covariance, and none is written (zero).
 pub(crate) fn join(scene: &mut Scene) {
-    let Scene { static_layer, dynamic, .. } = scene;
+    let Scene { static_layer, hidden, static_colours, dynamic, .. } = scene;
     if !static_layer.is_empty() {
+        hidden.clear();
+        static_colours.clear();
         let none = Arc::new(Gaussians::empty(static_layer.sh_degree()));
         let fixed = std::mem::replace(static_layer, none);
         dynamic.gaussians.extend(&fixed);
@@ -41,6 +43,8 @@ mod tests {
     fn ids_stay_and_new_gaussians_get_new_ones() {
         let dynamic = Dynamic { gaussians: Gaussians::zeros(2, 1), ..Dynamic::default() };
         let mut scene = Scene {
+            hidden: vec![1; 3],
+            static_colours: vec![[1.0; 2]; 3],
             static_layer: Arc::new(Gaussians::zeros(3, 1)),
             dynamic,
             sky: SkyCube::filled(1, [0.0; 3]),
@@ -49,6 +53,7 @@ mod tests {
         join(&mut scene);
         assert_eq!((scene.static_layer.len(), &scene.dynamic.ids[..]), (0, &[0, 1, 2, 3, 4][..]));
         assert_eq!((scene.static_layer.sh_degree(), scene.dynamic.covariances.len()), (1, 5));
+        assert!(scene.hidden.is_empty() && scene.static_colours.is_empty());
         let mut before = scene.clone();
         join(&mut scene);
         assert_eq!(scene.dynamic.ids, before.dynamic.ids, "once is enough");

@@ -82,7 +82,13 @@ impl World {
         let mut dynamic = Dynamic { gaussians: self.body.clone(), ..Dynamic::default() };
         dynamic.number_new();
         dynamic.covariances.resize(BODY, glam::DMat3::IDENTITY);
-        Scene { static_layer: Arc::new(self.backdrop.clone()), dynamic, sky: self.sky.clone() }
+        Scene {
+            static_layer: Arc::new(self.backdrop.clone()),
+            hidden: Vec::new(),
+            static_colours: Vec::new(),
+            dynamic,
+            sky: self.sky.clone(),
+        }
     }
 
     fn view(&self, view: usize, frame: usize) -> TrainingView {

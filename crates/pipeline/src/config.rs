@@ -6,7 +6,7 @@ use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
-use ffgs_trainer::{BackgroundConfig, DynamicLaneConfig, FirstFrameConfig};
+use ffgs_trainer::{BackgroundConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,8 @@ pub struct Config {
     pub dynamic: DynamicLaneConfig,
     /// Finetuning of the static layer and the sky.
     pub background: BackgroundConfig,
+    /// Training of static Gaussians that come to light.
+    pub disocclusion: DisocclusionConfig,
     /// The methods that train in their own way, a table each.
     pub method: MethodSettings,
 }
@@ -65,6 +67,7 @@ impl Default for Config {
             densification: DensifyConfig::default(),
             dynamic: DynamicLaneConfig::default(),
             background: BackgroundConfig::default(),
+            disocclusion: DisocclusionConfig::default(),
             method: MethodSettings::default(),
         }
     }
@@ -94,9 +97,12 @@ impl Config {
         Ok(())
     }
 
-    /// The defaults with our most literal reading of the paper's motion initialisation (Algorithms 1 and 2).
+    /// The defaults with our most literal reading of the paper's motion initialisation (Algorithms 1 and 2), and a static
+    /// layer that keeps its shape.
     pub fn literal() -> Self {
-        Self::default().with_motion(MotionConfig::literal())
+        let defaults = Self::default();
+        let disocclusion = DisocclusionConfig { iterations: 0, ..defaults.disocclusion };
+        Self { disocclusion, ..defaults }.with_motion(MotionConfig::literal())
     }
 
     /// The settings of the motion initialisation.
@@ -153,7 +159,9 @@ mod tests {
     fn the_motion_initialisation_is_part_of_the_configuration() {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(literal).motion(), literal);
-        assert_eq!(Config::literal().with_motion(MotionConfig::default()), Config::default());
+        let ours = Config::literal().with_motion(MotionConfig::default());
+        let fixed = DisocclusionConfig { iterations: 0, ..DisocclusionConfig::default() };
+        assert_eq!(ours, Config { disocclusion: fixed, ..Config::default() });
     }
 
     #[test]

@@ -5,8 +5,9 @@ use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, Progress,
-    SkyView, StaticLane, Surroundings, train_dynamic, train_first_frame, train_sky,
+    BackgroundConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
+    FirstFrame, FirstFrameConfig, Photographed, Progress, SkyView, StaticLane, Surroundings,
+    train_disoccluded, train_dynamic, train_first_frame, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
@@ -83,7 +84,7 @@ impl<'a> Devices<'a> {
         lane: &mut StaticLane,
         config: &BackgroundConfig,
         photographed: Photographed,
-        layer: &mut Arc<Gaussians>,
+        layer: (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
         seed: u64,
         report: Report,
     ) -> Result<()> {
@@ -92,6 +93,21 @@ impl<'a> Devices<'a> {
             Some(gpu) => lane.train(&GpuBackend(gpu), config, photographed, layer, seed, report)?,
         }
         Ok(())
+    }
+
+    /// The static Gaussians that come to light; the views that show any of them.
+    pub(crate) fn disoccluded(
+        self,
+        config: &DisocclusionConfig,
+        what: Disoccluded,
+        layer: &mut Arc<Gaussians>,
+        seed: u64,
+        report: Report,
+    ) -> Result<Vec<usize>> {
+        Ok(match self.gpu(1) {
+            None => train_disoccluded(&CpuBackend, config, what, layer, seed, report)?,
+            Some(gpu) => train_disoccluded(&GpuBackend(gpu), config, what, layer, seed, report)?,
+        })
     }
 
     /// The sky.

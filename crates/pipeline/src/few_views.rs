@@ -95,6 +95,8 @@ fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], devices: Devices) -> 
     let cameras: Vec<_> = views.iter().map(|view| view.camera).collect();
     let nothing = Gaussians::empty(trained.gaussians.sh_degree());
     let scene = Scene {
+        hidden: Vec::new(),
+        static_colours: Vec::new(),
         static_layer: trained.gaussians.clone().into(),
         dynamic: Dynamic { gaussians: nothing, ..Dynamic::default() },
         sky: trained.sky.clone(),

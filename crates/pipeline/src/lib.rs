@@ -12,6 +12,7 @@ mod config_text;
 mod console;
 pub mod device;
 mod devices;
+mod disocclusion;
 pub mod eval;
 pub mod export;
 mod few_views;

@@ -6,6 +6,7 @@ use crate::config::Config;
 use crate::console::Console;
 use crate::device;
 use crate::devices::Devices;
+use crate::disocclusion;
 use crate::few_views::best_trial;
 use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
@@ -249,6 +250,11 @@ impl<'a> Job<'a> {
             knowledge::learn(&mut scene, None, &views);
             record.log.since("information", learning);
         }
+        if scene.hidden.is_empty() {
+            let config = &self.config().disocclusion;
+            let dilation = self.config().marking.dilation;
+            scene.hidden = disocclusion::hidden(config, &scene.static_layer, &views, dilation)?;
+        }
         views.truncate(count);
         method.begin(&scene).with_context(|| self.named("first frame"))?;
         record.log.since("wall", start);
@@ -331,7 +337,8 @@ impl<'a> Job<'a> {
         let entitled = gaussians.len();
         let mut dynamic = Dynamic { gaussians, covariances, entitled, ..Dynamic::default() };
         dynamic.number_new();
-        Ok(Scene { static_layer: Arc::new(all.select(&indices(false))), dynamic, sky })
+        let static_layer = Arc::new(all.select(&indices(false)));
+        Ok(Scene { static_layer, hidden: Vec::new(), static_colours: Vec::new(), dynamic, sky })
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
@@ -374,6 +381,7 @@ impl<'a> Job<'a> {
         {
             Finetuning::ByLanes => {
                 self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
+                self.uncover(frame, &mut scene, static_lane, &now, console, log)?;
                 let learning = Instant::now();
                 knowledge::learn(&mut scene, predicted.as_ref(), &now);
                 log.since("information", learning);
@@ -396,10 +404,10 @@ impl<'a> Job<'a> {
         log: &mut StageLog,
     ) -> Result<()> {
         let (config, devices) = (self.config(), self.devices());
-        let seed = config.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64;
+        let seed = self.seed(frame);
         let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
-        let Scene { static_layer, dynamic, sky } = scene;
+        let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
         let static_bar = console.lane("static", config.background.static_passes());
         let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
@@ -418,7 +426,8 @@ impl<'a> Job<'a> {
                 timed(&mut || {
                     let photographed = Photographed { views, sky: &sky_start };
                     let report = &mut |p| static_bar.show(p);
-                    devices.static_layer(static_lane, background, photographed, static_layer, seed, report)
+                    let layer = (&mut *static_layer, &mut *static_colours);
+                    devices.static_layer(static_lane, background, photographed, layer, seed, report)
                 })
             },
             || timed(&mut || devices.sky(background, views, &static_start, sky, seed)),
@@ -427,6 +436,40 @@ impl<'a> Job<'a> {
         log.add_seconds("static", static_s?);
         log.add_seconds("sky", sky_s?);
         Ok(())
+    }
+
+    /// The static layer where something that moves covered it so far.
+    fn uncover(
+        &self,
+        frame: usize,
+        scene: &mut Scene,
+        static_lane: &mut StaticLane,
+        views: &[TrainingView],
+        console: &Console,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let (config, seed) = (self.config(), self.seed(frame));
+        if !frame.is_multiple_of(config.disocclusion.every) {
+            return Ok(());
+        }
+        let bar = console.lane("disocclusion", config.disocclusion.iterations);
+        let learnt = disocclusion::learn(
+            self.devices(),
+            &config.disocclusion,
+            (scene, static_lane),
+            views,
+            config.marking.dilation,
+            seed,
+            &mut |p| bar.show(p),
+        )?;
+        tracing::debug!("frame {frame}: {learnt} static Gaussians come to light");
+        log.since("disocclusion", start);
+        Ok(())
+    }
+
+    fn seed(&self, frame: usize) -> u64 {
+        self.config().seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64
     }
 
     /// Motion and uncertainty over the photograph that shows most of the foreground.

@@ -34,6 +34,8 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_information: Cow::Borrowed(&scene.dynamic.knowledge.information),
         reals: reals(&scene.dynamic.knowledge),
         dynamic_flexibility: scene.dynamic.flexibility.clone(),
+        static_hidden: scene.hidden.clone(),
+        static_colours: scene.static_colours.clone(),
         integers: [
             (DOUBTED.to_owned(), u64::from(scene.dynamic.doubted)),
             (ENTITLED.to_owned(), scene.dynamic.entitled as u64),
@@ -93,7 +95,14 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         entitled,
         doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
-    Ok(Scene { static_layer: Arc::new(state.static_layer.into_owned()), dynamic, sky })
+    let static_layer = Arc::new(state.static_layer.into_owned());
+    Ok(Scene {
+        static_layer,
+        hidden: state.static_hidden,
+        static_colours: state.static_colours,
+        dynamic,
+        sky,
+    })
 }
 
 /// What keeps a run from going on; `None` for a sound state.
@@ -121,6 +130,9 @@ fn fault(state: &FrameState) -> Option<String> {
         if let Some(column) = column_not_finite(layer) {
             return not_a_number(&format!("{column} of the {name} layer"));
         }
+    }
+    if !state.static_colours.as_flattened().iter().all(|v| v.is_finite() && *v > 0.0) {
+        return Some("a variance of the static layer's colours is not a positive number".into());
     }
     if state.dynamic_covariances.iter().any(DMat3::is_nan) {
         return not_a_number("a covariance");
@@ -169,7 +181,7 @@ mod tests {
         let path = folder.path().join("state.ffgs");
         save_checkpoint(&path, &sound()).unwrap();
         assert_eq!(load(&path, 1).unwrap().dynamic.gaussians.len(), 1);
-        let faults: [(Change, &str); 9] = [
+        let faults: [(Change, &str); 10] = [
             (|s| s.frame = 2, "after frame 2"),
             (|s| s.dynamic_covariances.clear(), "0 covariances of 1"),
             (|s| s.dynamic_ids.clear(), "0 ids of 1"),
@@ -178,6 +190,7 @@ mod tests {
             (|s| s.dynamic_layer.to_mut().sh[0][0] = f32::INFINITY, "a colour of the dynamic layer"),
             (|s| s.dynamic_covariances[0].x_axis.y = f64::NAN, "a covariance is not a number"),
             (|s| s.sky[3] = f32::NAN, "a texel of the sky"),
+            (|s| s.static_colours = vec![[1.0, 0.0]; 2], "a variance of the static layer's colours"),
             (|s| (s.sky_face_size, s.sky) = (0, Vec::new()), "no sky"),
         ];
         for (change, words) in faults {

@@ -30,6 +30,10 @@ impl<'a> Cursor<'a> {
         Ok(head)
     }
 
+    pub(crate) fn bytes(&mut self, count: usize) -> Result<&'a [u8], Problem> {
+        self.take(count, 1)
+    }
+
     pub(crate) fn u64(&mut self) -> Result<u64, Problem> {
         Ok(u64::from_le_bytes(le(self.take(1, 8)?)))
     }

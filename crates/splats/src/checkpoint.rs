@@ -11,8 +11,8 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-/// 2 added the last steps, 3 ids and information, 4 the flexibility; older ones are still read.
-const VERSION: u32 = 4;
+/// 2 added the last steps, 3 ids and information, 4 the flexibility, 5 what was hidden and known of the static layer; older ones are still read.
+const VERSION: u32 = 5;
 const HEAD: usize = 20;
 const CHECKSUM: usize = 4;
 
@@ -47,6 +47,10 @@ pub struct FrameState<'a> {
     pub dynamic_steps: Vec<DVec3>,
     /// Logarithm of the odds that a Gaussian of the dynamic layer departs from its rigid group; empty when unknown.
     pub dynamic_flexibility: Vec<f64>,
+    /// Rounds in which each Gaussian of the static layer still is to be trained in full; empty when none is.
+    pub static_hidden: Vec<u8>,
+    /// Variance of SH coefficient 0 and of each other coefficient of the static layer; empty when unknown.
+    pub static_colours: Vec<[f32; 2]>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -135,6 +139,10 @@ fn encode(state: &FrameState) -> Vec<u8> {
     put_layer(&mut out, &state.static_information);
     put_u64(&mut out, state.dynamic_flexibility.len() as u64);
     put_f64s(&mut out, &state.dynamic_flexibility);
+    put_u64(&mut out, state.static_hidden.len() as u64);
+    out.extend(&state.static_hidden);
+    put_u64(&mut out, state.static_colours.len() as u64);
+    put_f32s(&mut out, state.static_colours.as_flattened());
     out
 }
 
@@ -168,6 +176,10 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
     let (dynamic_information, static_information) = (Cow::Owned(information()?), Cow::Owned(information()?));
     let odds = if version >= 4 { cursor.length()? } else { 0 };
     let dynamic_flexibility = cursor.f64_rows::<1>(odds)?.into_iter().map(|[v]| v).collect();
+    let hidden = if version >= 5 { cursor.length()? } else { 0 };
+    let static_hidden = cursor.bytes(hidden)?.to_vec();
+    let colours = if version >= 5 { cursor.length()? } else { 0 };
+    let static_colours = cursor.f32_rows::<2>(colours)?;
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -185,6 +197,8 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
         q,
         dynamic_steps,
         dynamic_flexibility,
+        static_hidden,
+        static_colours,
         reals,
         integers,
     };
@@ -206,6 +220,8 @@ fn check_lengths(state: &FrameState) -> Result<(), Problem> {
         ("values of flexibility", state.dynamic_flexibility.len(), moving),
         ("rows of information", state.dynamic_information.len(), moving),
         ("rows of information", state.static_information.len(), fixed),
+        ("counts of rounds", state.static_hidden.len(), fixed),
+        ("variances of colours", state.static_colours.len(), fixed),
     ] {
         if found != 0 && found != n {
             return Err(Problem::Corrupt(format!("{found} {what} of {n} Gaussians")));

@@ -26,6 +26,8 @@ fn state() -> FrameState<'static> {
         q: 0.123_456_789,
         dynamic_steps: vec![DVec3::new(-0.0, 1.4, 1e-300); 2],
         dynamic_flexibility: vec![-0.0, 3.5],
+        static_hidden: vec![0, 2, u8::MAX],
+        static_colours: vec![[0.1, 1.0 / 3.0]; 3],
         reals: [("scale".to_owned(), f64::MIN_POSITIVE)].into(),
         integers: [("iteration".to_owned(), u64::MAX), ("seed".to_owned(), 3)].into(),
     }
@@ -65,13 +67,15 @@ type Change = fn(&mut FrameState<'static>);
 fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.ckpt");
-    let faults: [(Change, &str); 7] = [
+    let faults: [(Change, &str); 9] = [
         (|s| s.sky_face_size = 3, "faces of 3 px"),
         (|s| s.sky_face_size = 1 << 32, "faces of 4294967296 px"),
         (|s| s.sky_face_size = 1 << 63, "faces of"),
         (|s| s.dynamic_covariances.truncate(1), "1 covariances of 2"),
         (|s| s.dynamic_steps.truncate(1), "1 last steps of 2"),
         (|s| s.dynamic_ids = vec![1; 3], "3 ids of 2"),
+        (|s| s.static_hidden.truncate(1), "1 counts of rounds of 3"),
+        (|s| s.static_colours.truncate(2), "2 variances of colours of 3"),
         (|s| s.static_information = Cow::Owned(Gaussians::zeros(4, 0)), "4 rows of information of"),
     ];
     for (change, words) in faults {

@@ -46,7 +46,7 @@ fn static_steps<B: TrainBackend>(
     layer: &mut Arc<Gaussians>,
 ) -> Result<(), B::Error> {
     let photographed = Photographed { views, sky };
-    StaticLane::default().train(backend, config, photographed, layer, 3, &mut |_| {})
+    StaticLane::default().train(backend, config, photographed, (layer, &mut Vec::new()), 3, &mut |_| {})
 }
 
 #[test]

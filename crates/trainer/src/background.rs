@@ -27,10 +27,14 @@ pub struct BackgroundConfig {
     pub solve_degree: usize,
     /// Expected error of a pixel (0..1), against which a change of colour must pay off.
     pub solve_noise: f32,
-    /// Expected change of SH coefficient 0 in a frame.
+    /// Expected change of SH coefficient 0 of a Gaussian of whose colour no frame after the first told anything.
     pub solve_sh0_change: f32,
-    /// Expected change of the other SH coefficients in a frame.
+    /// Expected change of the other SH coefficients likewise.
     pub solve_sh_rest_change: f32,
+    /// Change of SH coefficient 0 from one frame to the next, once it is known.
+    pub solve_sh0_drift: f32,
+    /// Change of the other SH coefficients likewise.
+    pub solve_sh_rest_drift: f32,
     /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then `steps` are taken.
     pub solve_memory_mib: usize,
     /// Steps per frame, one view each; method `steps`.
@@ -56,6 +60,8 @@ impl Default for BackgroundConfig {
             solve_noise: 0.05,
             solve_sh0_change: 0.3,
             solve_sh_rest_change: 0.05,
+            solve_sh0_drift: 0.03,
+            solve_sh_rest_drift: 0.005,
             solve_memory_mib: 4096,
             static_iterations: 500,
             sh0_rate: 1e-3,

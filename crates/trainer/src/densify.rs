@@ -186,6 +186,22 @@ impl DensityControl {
         IndexMap { sources, keeps_moments }
     }
 
+    /// From Gaussian `first` on, invisible ones become children of those with the largest gradients, which are split:
+    /// the number of Gaussians stays.
+    pub fn reuse(&mut self, gaussians: &mut Gaussians, sums: &GradientSums, first: usize, extent: f32) {
+        let count = gaussians.len();
+        let invisible = |i: usize| self.is_pruned(gaussians, extent, i);
+        let barred: Vec<bool> = (0..count).map(|i| i < first || invisible(i)).collect();
+        let slots: Vec<usize> = (first..count).filter(|&i| barred[i]).collect();
+        let parents = self.best_candidates(&barred, sums, slots.len());
+        for (parent, slot) in parents.into_iter().zip(slots) {
+            let copy = gaussians.select(&[parent]);
+            gaussians.set_from(slot, &copy, 0);
+            self.make_child(gaussians, parent);
+            self.make_child(gaussians, slot);
+        }
+    }
+
     /// Turns a copy of the parent into a child: a sample of the parent's density, scale divided by 1.6.
     fn make_child(&mut self, gaussians: &mut Gaussians, i: usize) {
         let scale = Vec3::from(gaussians.log_scales[i]).exp();
@@ -276,6 +292,21 @@ mod tests {
             g
         };
         assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn invisible_ones_are_used_again_and_the_first_stay() {
+        let (mut g, before) = (scene(), scene());
+        control(DensityConfig::default()).reuse(&mut g, &sums(), 1, 1.0);
+        assert_eq!(g.len(), 5);
+        assert_eq!((g.means[0], g.means[2]), (before.means[0], before.means[2]));
+        // 3 is transparent, 4 too large; 1 alone is visible, moves and is not fixed.
+        assert_eq!(g.opacity_logits[3], before.opacity_logits[1]);
+        assert!((g.log_scales[3][0] - (0.05f32 / 1.6).ln()).abs() < 1e-6);
+        assert_eq!(g.log_scales[3], g.log_scales[1]);
+        assert_ne!(g.means[3], g.means[1]);
+        assert_eq!(g.log_scales[4], before.log_scales[4], "there was no second one to split");
+        g.validate().unwrap();
     }
 
     #[test]

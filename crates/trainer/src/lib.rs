@@ -8,6 +8,7 @@ mod background;
 pub mod constants;
 mod cpu;
 mod densify;
+mod disocclusion;
 mod dynamic_lane;
 mod first_frame;
 mod gain;
@@ -30,6 +31,7 @@ pub use cpu::{CpuBackend, CpuLayer, CpuSky};
 pub use densify::{
     DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal, reset_opacities,
 };
+pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use gain::{Gain, PixelNoise, information_gain};
@@ -39,5 +41,5 @@ pub use prior::{Drift, KINDS, Kind, Prior};
 pub use schedule::{Epochs, Schedule, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
-pub use static_lane::{Photographed, StaticLane};
+pub use static_lane::{ColourVariance, Photographed, StaticLane};
 pub use view::{Progress, camera_extent};

@@ -78,7 +78,9 @@ pub(crate) fn static_lane(c: &mut Criterion) {
                 b.iter(|| {
                     let (mut lane, mut layer) = (StaticLane::default(), Arc::new(layer.clone()));
                     let seen = Photographed { views: &views, sky: &sky };
-                    let run = || lane.train(&CpuBackend, &config, seen, &mut layer, 1, &mut |_| {});
+                    let run = || {
+                        lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| {})
+                    };
                     let Ok(()) = pool.install(run);
                 });
             });

@@ -169,7 +169,8 @@ impl Case {
         let mut clock = Clock::start();
         let (mut layer, seen) = (Arc::new(layer), Photographed { views, sky: &sky });
         let lane = &mut StaticLane::default();
-        let Ok(()) = lane.train(&CpuBackend, &config, seen, &mut layer, 1, &mut |_| clock.tick());
+        let Ok(()) =
+            lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| clock.tick());
         let peak = memory::peak();
         (clock, peak, held::static_solve(&layer, self.size, views.len()) as f64)
     }

@@ -4,6 +4,8 @@ mod solve;
 mod steps;
 mod trace;
 
+pub use solve::ColourVariance;
+
 use crate::backend::TrainBackend;
 use crate::background::{BackgroundConfig, StaticMethod};
 use crate::view::Progress;
@@ -39,7 +41,8 @@ pub struct StaticLane {
 }
 
 impl StaticLane {
-    /// Finetunes the colours of `layer`, whose geometry and opacities are those of the first call. The steps run on
+    /// Finetunes the colours of `layer`, of which so much is `known` (nothing, when empty), whose geometry and opacities are those of the first call but in views that were
+    /// forgotten since. The steps run on
     /// `backend`, the linear solve always on the CPU.
     ///
     /// # Errors
@@ -49,7 +52,7 @@ impl StaticLane {
         backend: &B,
         config: &BackgroundConfig,
         photographed: Photographed,
-        layer: &mut Arc<Gaussians>,
+        (layer, known): (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
         seed: u64,
         report: &mut dyn FnMut(Progress),
     ) -> Result<(), B::Error> {
@@ -60,17 +63,24 @@ impl StaticLane {
         let contributors = contributors(config, views);
         if config.static_method == StaticMethod::Solve && contributors >= FEWEST_CONTRIBUTORS {
             self.trace(contributors, config.solve_degree, views, layer);
-            solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), report);
+            solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
             return Ok(());
         }
         steps::train(backend, config, photographed, layer, seed, report)
+    }
+
+    /// The shapes that `views` show have changed.
+    pub fn forget(&mut self, views: &[usize]) {
+        for &view in views {
+            self.traces.get_mut(view).into_iter().for_each(|trace| trace.stale = true);
+        }
     }
 
     /// Traces the views whose camera is new.
     fn trace(&mut self, count: usize, degree: usize, views: &[TrainingView], layer: &Gaussians) {
         self.traces.truncate(views.len());
         for (v, view) in views.iter().enumerate() {
-            if self.traces.get(v).is_some_and(|t| t.camera == view.camera) {
+            if self.traces.get(v).is_some_and(|t| t.camera == view.camera && !t.stale) {
                 continue;
             }
             let trace = ViewTrace::new(&view.camera, layer, count, degree);

@@ -3,8 +3,9 @@
 //! at once instead of hundreds of steps of one view each.
 //!
 //! What is minimised over the change x of the coefficients, with r the photograph minus the exact render, is
-//! `|A x - r|^2 / noise^2` over the pixels outside the masks, plus `(x / expected change)^2` over the coefficients: that
-//! keeps colours which few pixels see where they are.
+//! `|A x - r|^2 / noise^2` over the pixels outside the masks, plus `x^2 / variance` over the coefficients, with what the
+//! frames so far leave open of each Gaussian's colour ([`ColourVariance`]): that keeps colours which few pixels of this
+//! frame see where many pixels of earlier ones put them.
 
 use super::trace::ViewTrace;
 use crate::background::{BackgroundConfig, SkyBehind, outside};
@@ -20,6 +21,7 @@ pub(super) fn solve(
     views: &[TrainingView],
     sky: &SkyCube,
     layer: &mut Gaussians,
+    known: &mut Vec<ColourVariance>,
     report: &mut dyn FnMut(Progress),
 ) {
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
@@ -29,16 +31,39 @@ pub(super) fn solve(
     };
     let residuals: Vec<Residual> = views.iter().map(&mut residual).collect();
     drop((tape, behind));
-    let system = System::new(config, traces, &residuals, layer);
+    predict(config, layer.len(), known);
+    let system = System::new(config, traces, &residuals, layer, known);
     let mut running = Running::default();
     let counted = residuals.iter().map(Residual::count).sum::<usize>().max(1) as f64 * 3.0;
-    let change = system.conjugate_gradients(config.solve_iterations, |iteration, squares| {
+    let diagonal = system.diagonal();
+    let change = system.conjugate_gradients(&diagonal, config.solve_iterations, |iteration, squares| {
         running.add(squares / counted, squares / counted);
         report(running.progress(iteration, config.solve_iterations, layer.len()));
     });
+    system.learn(config, &diagonal, known);
     let (stride, coefficients) = (layer.sh_stride(), system.coefficients);
     for (sh, x) in layer.sh.chunks_exact_mut(stride).zip(change.chunks_exact(coefficients)) {
         sh.iter_mut().zip(x).for_each(|(s, &d)| *s = (Vec3::from(*s) + d).to_array());
+    }
+}
+
+/// Variance of SH coefficient 0 of a static Gaussian, and of each of its other coefficients.
+pub type ColourVariance = [f32; 2];
+
+/// What a frame's pixels tell counts for so much: neighbours that overlap share it.
+const EVIDENCE: f32 = 0.1;
+
+/// A frame later: nothing is known at first, and what is known fades.
+fn predict(config: &BackgroundConfig, gaussians: usize, known: &mut Vec<ColourVariance>) {
+    let square = |[a, b]: [f32; 2]| [a * a, b * b];
+    let unknown = square([config.solve_sh0_change, config.solve_sh_rest_change]);
+    let drift = square([config.solve_sh0_drift, config.solve_sh_rest_drift]);
+    if known.len() != gaussians {
+        *known = vec![unknown; gaussians];
+        return;
+    }
+    for variance in known {
+        *variance = std::array::from_fn(|k| (variance[k] + drift[k]).min(unknown[k]));
     }
 }
 
@@ -84,7 +109,8 @@ struct System<'a> {
     places: (Vec<u32>, Vec<u32>),
     /// Colours at the clamp do not answer to small changes: 0 there, else 1, over (view, seen).
     answers: Vec<Vec3>,
-    ridge: Vec<f32>,
+    /// (N) noise over variance, of coefficient 0 and of the others.
+    ridge: Vec<[f32; 2]>,
 }
 
 impl<'a> System<'a> {
@@ -93,13 +119,12 @@ impl<'a> System<'a> {
         traces: &'a [ViewTrace],
         residuals: &'a [Residual],
         layer: &Gaussians,
+        known: &[ColourVariance],
     ) -> Self {
         let coefficients = sh_coefficients(config.solve_degree.min(layer.sh_degree()));
         let mut offsets = vec![0];
         traces.iter().for_each(|t| offsets.push(offsets[offsets.len() - 1] + t.seen.len()));
-        let share = |change: f32| (config.solve_noise / change).powi(2);
-        let mut ridge = vec![share(config.solve_sh_rest_change); coefficients];
-        ridge[0] = share(config.solve_sh0_change);
+        let ridge = known.iter().map(|v| v.map(|v| config.solve_noise.powi(2) / v)).collect();
         let places = invert(traces, layer.len());
         let answers = traces.iter().flat_map(|t| answers(t, layer)).collect();
         Self { traces, residuals, gaussians: layer.len(), coefficients, offsets, places, answers, ridge }
@@ -176,10 +201,24 @@ impl<'a> System<'a> {
             if self.residuals[v].counted[pixel] { sum } else { Vec3::ZERO }
         };
         let mut out = self.transpose(&self.colours(x), counted);
-        for (out, x) in out.chunks_exact_mut(self.coefficients).zip(x.chunks_exact(self.coefficients)) {
-            (0..self.coefficients).for_each(|c| out[c] += self.ridge[c] * x[c]);
+        let rows = out.chunks_exact_mut(self.coefficients).zip(x.chunks_exact(self.coefficients));
+        for ((out, x), ridge) in rows.zip(&self.ridge) {
+            (0..self.coefficients).for_each(|c| out[c] += ridge[c.min(1)] * x[c]);
         }
         out
+    }
+
+    /// What this frame's pixels tell of the colours.
+    fn learn(&self, config: &BackgroundConfig, diagonal: &[Vec3], known: &mut [ColourVariance]) {
+        let told = EVIDENCE / config.solve_noise.powi(2);
+        let others = (self.coefficients - 1).max(1) as f32;
+        let rows = diagonal.chunks_exact(self.coefficients).zip(&self.ridge);
+        for (variance, (row, ridge)) in known.iter_mut().zip(rows) {
+            let seen = |c: &Vec3, ridge: f32| (c.element_sum() / 3.0 - ridge).max(0.0);
+            let rest = row[1..].iter().map(|c| seen(c, ridge[1])).sum::<f32>() / others;
+            let information = [seen(&row[0], ridge[0]), rest].map(|i| i * told);
+            *variance = std::array::from_fn(|k| 1.0 / (1.0 / variance[k] + information[k]));
+        }
     }
 
     /// Diagonal of the normal equations, the preconditioner.
@@ -195,7 +234,7 @@ impl<'a> System<'a> {
         }
         let mut out = vec![Vec3::ZERO; self.gaussians * k];
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
-            out.iter_mut().zip(&self.ridge).for_each(|(o, &ridge)| *o = Vec3::splat(ridge));
+            out.iter_mut().enumerate().for_each(|(c, o)| *o = Vec3::splat(self.ridge[i][c.min(1)]));
             for &place in self.places_of(i) {
                 let s = squares[place as usize] * self.answers[place as usize];
                 out.iter_mut().zip(self.basis(place as usize)).for_each(|(o, &b)| *o += b * b * s);
@@ -206,10 +245,14 @@ impl<'a> System<'a> {
 
     /// Preconditioned conjugate gradients from zero (Hestenes and Stiefel 1952). `report(iteration, sum of squared
     /// residuals by the model)`.
-    fn conjugate_gradients(&self, iterations: usize, mut report: impl FnMut(usize, f64)) -> Vec<Vec3> {
+    fn conjugate_gradients(
+        &self,
+        diagonal: &[Vec3],
+        iterations: usize,
+        mut report: impl FnMut(usize, f64),
+    ) -> Vec<Vec3> {
         let zero = vec![Vec3::ZERO; self.answers.len()];
         let right = self.transpose(&zero, |v, pixel, _| self.residuals[v].values[pixel]);
-        let diagonal = self.diagonal();
         let mut squares: f64 = self
             .residuals
             .iter()
@@ -217,7 +260,7 @@ impl<'a> System<'a> {
             .sum();
         let mut x = vec![Vec3::ZERO; right.len()];
         let mut r = right;
-        let mut direction: Vec<Vec3> = r.par_iter().zip(&diagonal).map(|(&r, &d)| r / d).collect();
+        let mut direction: Vec<Vec3> = r.par_iter().zip(diagonal).map(|(&r, &d)| r / d).collect();
         let mut rz = dot(&r, &direction);
         for iteration in 1..=iterations {
             let applied = self.apply(&direction);
@@ -231,7 +274,7 @@ impl<'a> System<'a> {
             squares -= rz * f64::from(step);
             // The preconditioned residual is never stored; here it takes the place of the old product.
             let mut z = applied;
-            z.par_iter_mut().zip(&r).zip(&diagonal).for_each(|((z, &r), &d)| *z = r / d);
+            z.par_iter_mut().zip(&r).zip(diagonal).for_each(|((z, &r), &d)| *z = r / d);
             let next = dot(&r, &z);
             let beta = (next / rz) as f32;
             rz = next;
@@ -331,7 +374,8 @@ mod tests {
             BackgroundConfig { solve_iterations: 40, solve_noise: 0.005, ..BackgroundConfig::default() };
         let photographed = Photographed { views, sky };
         let lane = &mut StaticLane::default();
-        lane.train(&CpuBackend, &config, photographed, &mut out, 1, &mut |_| {}).unwrap();
+        let mut known = Vec::new();
+        lane.train(&CpuBackend, &config, photographed, (&mut out, &mut known), 1, &mut |_| {}).unwrap();
         Arc::unwrap_or_clone(out)
     }
 
@@ -348,6 +392,33 @@ mod tests {
             (&found.means, &found.log_scales, &found.opacity_logits),
             (&dimmed.means, &dimmed.log_scales, &dimmed.opacity_logits)
         );
+    }
+
+    /// Frames of the true light, then one that a single view sees, with a shadow: who has seen more changes less.
+    #[test]
+    fn what_many_frames_showed_is_not_given_up_for_one() {
+        let (layer, sky, views) = wall();
+        let shadow = |view: &TrainingView| {
+            let dark = view.image.data().iter().map(|v| v / 2).collect();
+            TrainingView { image: ImageRgb8::new(SIZE, dark).unwrap(), ..view.clone() }
+        };
+        let config = BackgroundConfig::default();
+        let change_after = |frames: usize| {
+            let (mut out, mut known) = (Arc::new(layer.clone()), Vec::new());
+            let mut lane = StaticLane::default();
+            let mut frame = |views: &[TrainingView], out: &mut Arc<Gaussians>| {
+                let photographed = Photographed { views, sky: &sky };
+                lane.train(&CpuBackend, &config, photographed, (out, &mut known), 1, &mut |_| {}).unwrap();
+            };
+            (0..frames).for_each(|_| frame(&views, &mut out));
+            let before = out.clone();
+            frame(&[shadow(&views[0])], &mut out);
+            assert!(known.iter().flatten().all(|v| v.is_finite() && *v > 0.0));
+            let change = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|c| (a[c] - b[c]).abs()).sum::<f32>();
+            before.sh.iter().zip(&out.sh).map(change).sum::<f32>()
+        };
+        let [unknown, known] = [0, 5].map(change_after);
+        assert!(known > 0.0 && known < 0.95 * unknown, "{unknown} without, {known} with five frames before");
     }
 
     #[test]
@@ -380,7 +451,9 @@ mod tests {
             Residual { values: vec![Vec3::ZERO; pixels], counted: vec![true; pixels] }
         };
         let exact: Vec<Residual> = views.iter().map(exact).collect();
-        let system = System::new(&config, &traces, &exact, &layer);
+        let mut known = Vec::new();
+        predict(&config, layer.len(), &mut known);
+        let system = System::new(&config, &traces, &exact, &layer, &known);
         let diagonal = system.diagonal();
         for entry in [0, 1, 4 * 300, 4 * 301 + 2, 4 * 599 + 3] {
             let mut unit = vec![Vec3::ZERO; diagonal.len()];

@@ -123,7 +123,7 @@ impl World {
         let mut layer = Arc::new(recoloured(&self.fixed));
         let photographed = Photographed { views: &self.views, sky: &self.sky };
         let (config, mut lane) = (static_config(method), StaticLane::default());
-        lane.train(backend, &config, photographed, &mut layer, SEED, &mut |_| {}).unwrap();
+        lane.train(backend, &config, photographed, (&mut layer, &mut Vec::new()), SEED, &mut |_| {}).unwrap();
         Arc::unwrap_or_clone(layer)
     }
 

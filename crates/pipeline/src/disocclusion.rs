@@ -1,0 +1,101 @@
+//! What moving things hid from the static layer so far, and its training where it comes to light
+//! (docs/adr/0042-what-was-hidden-is-learnt.md).
+
+use crate::devices::Devices;
+use crate::frame::cameras_and_masks;
+use anyhow::Result;
+use ffgs_core::{Gaussians, Mask, Scene, TrainingView};
+use ffgs_fusion::{ViewCounts, count_views};
+use ffgs_trainer::{Disoccluded, DisocclusionConfig, Progress, StaticLane};
+
+/// With at most one in so many of the views that could see it open, a Gaussian counts as hidden.
+const HIDDEN_ONE_IN: u32 = 3;
+/// With one in so many open, it is trained for its last rounds.
+const OPEN_ONE_IN: u32 = 2;
+/// Fewest open views that fix a place.
+const LEAST_OPEN: u32 = 2;
+
+/// In how many views each Gaussian could be seen, and in how many of them it lies in a mask grown by `dilation` (px).
+fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<Vec<ViewCounts>> {
+    let (cameras, masks) = cameras_and_masks(views);
+    let masks: Vec<Mask> = masks.iter().map(|mask| mask.dilated(dilation)).collect();
+    Ok(count_views(&layer.positions(), &cameras, &masks)?)
+}
+
+/// Per static Gaussian the rounds in which it is to be trained: `config.rounds` for those that `views`, all that frame 0
+/// has, mostly saw covered by something that moves.
+pub(crate) fn hidden(
+    config: &DisocclusionConfig,
+    layer: &Gaussians,
+    views: &[TrainingView],
+    dilation: usize,
+) -> Result<Vec<u8>> {
+    let rounds = config.rounds.min(usize::from(u8::MAX)) as u8;
+    let is_hidden = |c: &ViewCounts| {
+        let open = c.seen - c.inside;
+        c.inside > 0 && (open < LEAST_OPEN || open * HIDDEN_ONE_IN <= c.seen)
+    };
+    let hidden = counts(layer, views, dilation)?;
+    Ok(hidden.iter().map(|c| if is_hidden(c) { rounds } else { 0 }).collect())
+}
+
+/// Trains what was hidden and is in the open at t. Returns how many Gaussians that were.
+pub(crate) fn learn(
+    devices: Devices,
+    config: &DisocclusionConfig,
+    (scene, static_lane): (&mut Scene, &mut StaticLane),
+    views: &[TrainingView],
+    dilation: usize,
+    seed: u64,
+    report: &mut dyn FnMut(Progress),
+) -> Result<usize> {
+    if config.iterations == 0 || scene.hidden.iter().all(|&rounds| rounds == 0) {
+        return Ok(0);
+    }
+    let counts = counts(&scene.static_layer, views, dilation)?;
+    let open = |i: usize| counts[i].seen - counts[i].inside;
+    let in_the_open = |i: &usize| scene.hidden[*i] > 0 && open(*i) >= LEAST_OPEN.min(counts[*i].seen).max(1);
+    let gaussians: Vec<usize> = (0..counts.len()).filter(in_the_open).collect();
+    let what =
+        Disoccluded { gaussians: &gaussians, moving: &scene.dynamic.gaussians, views, sky: &scene.sky };
+    let changed = devices.disoccluded(config, what, &mut scene.static_layer, seed, report)?;
+    static_lane.forget(&changed);
+    for &i in &gaussians {
+        scene.hidden[i] -= u8::from(open(i) * OPEN_ONE_IN >= counts[i].seen);
+    }
+    Ok(gaussians.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
+    use glam::{DMat4, DVec3};
+
+    const SIZE: ImageSize = ImageSize { width: 40, height: 30 };
+
+    /// `count` cameras side by side; the first `covered` of them have the left half of the image in their masks.
+    fn views(count: usize, covered: usize) -> Vec<TrainingView> {
+        let view = |v: usize| {
+            let intrinsics = Intrinsics { fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
+            let pose = DMat4::from_translation(DVec3::new(0.01 * v as f64, 0.0, 0.0));
+            let left = (0..SIZE.pixels()).map(|p| u8::from(v < covered && p % SIZE.width < 20)).collect();
+            let image = ImageRgb8::new(SIZE, vec![0; 3 * SIZE.pixels()]).unwrap();
+            let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
+            TrainingView { camera, image, mask: Mask::new(SIZE, left).unwrap() }
+        };
+        (0..count).map(view).collect()
+    }
+
+    #[test]
+    fn hidden_is_what_most_views_have_in_their_masks() {
+        let mut layer = Gaussians::zeros(3, 0);
+        layer.means = vec![[-1.0, 0.0, 4.0], [1.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
+        let config = DisocclusionConfig { rounds: 3, ..DisocclusionConfig::default() };
+        let found = |covered| hidden(&config, &layer, &views(6, covered), 0).unwrap();
+        assert_eq!(found(6), [3, 0, 0], "the left one; the last is seen by nobody");
+        assert_eq!(found(4), [3, 0, 0], "two of six views see it");
+        assert_eq!(found(3), [0, 0, 0], "half of them do");
+        assert_eq!(found(0), [0, 0, 0]);
+    }
+}
