@@ -32,7 +32,7 @@ const COUNT: Range = closed(1.0, 1e6);
 const RANGES: &[(&str, Range)] = &[
     // TOML holds whole numbers up to 2^63.
     ("seed", closed(0.0, (1_u64 << 62) as f64)),
-    ("sky_face_size", closed(1.0, 4096.0)),
+    ("sky_face_size", closed(1.0, 2048.0)),
     ("first_frame.sh_degree", DEGREE),
     ("first_frame.position_rate", DECAYING_RATE),
     ("first_frame.position_rate_end", DECAYING_RATE),
@@ -213,7 +213,7 @@ mod tests {
     #[test]
     fn what_cannot_be_run_is_refused_with_key_value_and_range() {
         for (text, fault) in [
-            ("sky_face_size = 0", "sky_face_size = 0: must be at least 1 and at most 4096"),
+            ("sky_face_size = 0", "sky_face_size = 0: must be at least 1 and at most 2048"),
             ("sky_face_size = 4294967296", "sky_face_size = 4294967296: must"),
             ("first_frame.sh_degree = 4", "first_frame.sh_degree = 4: must be at least 0 and at most 3"),
             ("first_frame.position_rate_end = 0.0", "first_frame.position_rate_end = 0.0: must be above 0"),
