@@ -95,7 +95,7 @@ impl<'a> Devices<'a> {
         Ok(())
     }
 
-    /// The static Gaussians that come to light; the views that show any of them.
+    /// The static Gaussians that come to light; whether any view shows them.
     pub(crate) fn disoccluded(
         self,
         config: &DisocclusionConfig,
@@ -103,7 +103,7 @@ impl<'a> Devices<'a> {
         layer: &mut Arc<Gaussians>,
         seed: u64,
         report: Report,
-    ) -> Result<Vec<usize>> {
+    ) -> Result<bool> {
         Ok(match self.gpu(1) {
             None => train_disoccluded(&CpuBackend, config, what, layer, seed, report)?,
             Some(gpu) => train_disoccluded(&GpuBackend(gpu), config, what, layer, seed, report)?,

@@ -58,8 +58,9 @@ pub(crate) fn learn(
     let gaussians: Vec<usize> = (0..counts.len()).filter(in_the_open).collect();
     let what =
         Disoccluded { gaussians: &gaussians, moving: &scene.dynamic.gaussians, views, sky: &scene.sky };
-    let changed = devices.disoccluded(config, what, &mut scene.static_layer, seed, report)?;
-    static_lane.forget(&changed);
+    if devices.disoccluded(config, what, &mut scene.static_layer, seed, report)? {
+        static_lane.forget();
+    }
     for &i in &gaussians {
         scene.hidden[i] -= u8::from(open(i) * OPEN_ONE_IN >= counts[i].seen);
     }

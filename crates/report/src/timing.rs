@@ -53,7 +53,7 @@ const DYNAMIC: [&str; 10] = [
 ];
 
 /// Seconds of the paper: its table for Monaco4D, one GPU per lane.
-const STAGES: [Stage; 14] = [
+const STAGES: [Stage; 15] = [
     stage("Load", "< 0.1", &["load"]),
     stage("Voronoi densification", "0.5", &["voronoi"]),
     stage("Agreement", "< 0.1", &["agreement"]),
@@ -66,6 +66,7 @@ const STAGES: [Stage; 14] = [
     stage("Information", "–", &["information"]),
     total("Dynamic lane", "dynamic", "~ 10.5", &DYNAMIC),
     total("Static lane (SH only)", "static", "~ 25", &["static"]),
+    stage("Disocclusion", "–", &["disocclusion"]),
     total("Sky lane", "sky", "~ 1", &["sky"]),
     total("Wall clock", "all", "~ 25", &["wall"]),
 ];

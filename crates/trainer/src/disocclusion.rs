@@ -90,7 +90,8 @@ const LEAST_PIXELS: usize = 16;
 /// Share of the steps after which invisible Gaussians are used elsewhere.
 const REUSE_AT: f32 = 0.4;
 
-/// Trains some Gaussians of `layer`, the others stay as they are. Returns the views that showed any of them.
+/// Trains some Gaussians of `layer`, the others stay as they are. Returns whether any view showed them: if not, nothing
+/// has changed.
 ///
 /// # Errors
 /// When the device fails or has too little memory; `layer` is then as it was.
@@ -101,15 +102,15 @@ pub fn train_disoccluded<B: TrainBackend>(
     layer: &mut Arc<Gaussians>,
     seed: u64,
     report: &mut dyn FnMut(Progress),
-) -> Result<Vec<usize>, B::Error> {
+) -> Result<bool, B::Error> {
     let found = layer.select(what.gaussians);
     if found.is_empty() || config.iterations == 0 {
-        return Ok(Vec::new());
+        return Ok(false);
     }
     let regions: Vec<Mask> = what.views.par_iter().map(|view| shown(view, &found)).collect();
     let used: Vec<usize> = (0..regions.len()).filter(|&v| regions[v].count() >= LEAST_PIXELS).collect();
     if used.is_empty() {
-        return Ok(used);
+        return Ok(false);
     }
     // Everything is drawn, as it will be; what stays comes first.
     let mut ordered = layer.select(&rest(layer.len(), what.gaussians));
@@ -148,7 +149,7 @@ pub fn train_disoccluded<B: TrainBackend>(
     for (from, &to) in what.gaussians.iter().enumerate() {
         layer.set_from(to, &ordered, fixed + from);
     }
-    Ok(used)
+    Ok(true)
 }
 
 /// The numbers to `count` that are not in `found`.
@@ -227,8 +228,8 @@ mod tests {
         let what = Disoccluded { gaussians: &patch, moving: &none, views: &views, sky: &sky };
         let config = DisocclusionConfig { iterations: 150, ..DisocclusionConfig::default() };
         let mut layer = Arc::new(rubble.clone());
-        let used = train_disoccluded(&CpuBackend, &config, what, &mut layer, 1, &mut |_| {}).unwrap();
-        assert_eq!(used, [0, 1, 2]);
+        let changed = train_disoccluded(&CpuBackend, &config, what, &mut layer, 1, &mut |_| {}).unwrap();
+        assert!(changed);
         let [before, after] = [&rubble, &*layer].map(error);
         assert!(after < 0.1 * before, "{before} to {after}");
         let rest: Vec<usize> = (0..1200).filter(|i| !patch.contains(i)).collect();
@@ -237,8 +238,8 @@ mod tests {
         // Behind the cameras nothing comes to light.
         patch.iter().for_each(|&i| rubble.means[i][2] = -3.0);
         let mut layer = Arc::new(rubble.clone());
-        let used = train_disoccluded(&CpuBackend, &config, what, &mut layer, 1, &mut |_| {}).unwrap();
-        assert!(used.is_empty() && *layer == rubble);
+        let changed = train_disoccluded(&CpuBackend, &config, what, &mut layer, 1, &mut |_| {}).unwrap();
+        assert!(!changed && *layer == rubble);
     }
 
     /// What the moving layer shows is not to be explained by what stands beside it.

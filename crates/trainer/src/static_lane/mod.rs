@@ -41,8 +41,8 @@ pub struct StaticLane {
 }
 
 impl StaticLane {
-    /// Finetunes the colours of `layer`, of which so much is `known` (nothing, when empty), whose geometry and opacities are those of the first call but in views that were
-    /// forgotten since. The steps run on
+    /// Finetunes the colours of `layer`, of which so much is `known` (nothing, when empty), whose geometry and opacities are those of the last call unless
+    /// [`forget`](Self::forget) was called since. The steps run on
     /// `backend`, the linear solve always on the CPU.
     ///
     /// # Errors
@@ -69,18 +69,16 @@ impl StaticLane {
         steps::train(backend, config, photographed, layer, seed, report)
     }
 
-    /// The shapes that `views` show have changed.
-    pub fn forget(&mut self, views: &[usize]) {
-        for &view in views {
-            self.traces.get_mut(view).into_iter().for_each(|trace| trace.stale = true);
-        }
+    /// The layer has another shape: all views are traced anew, as in a run that is resumed here.
+    pub fn forget(&mut self) {
+        self.traces.clear();
     }
 
     /// Traces the views whose camera is new.
     fn trace(&mut self, count: usize, degree: usize, views: &[TrainingView], layer: &Gaussians) {
         self.traces.truncate(views.len());
         for (v, view) in views.iter().enumerate() {
-            if self.traces.get(v).is_some_and(|t| t.camera == view.camera && !t.stale) {
+            if self.traces.get(v).is_some_and(|t| t.camera == view.camera) {
                 continue;
             }
             let trace = ViewTrace::new(&view.camera, layer, count, degree);

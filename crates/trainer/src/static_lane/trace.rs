@@ -9,8 +9,6 @@ pub(super) type Contribution = (u32, f32);
 #[derive(Clone, Debug)]
 pub(super) struct ViewTrace {
     pub(super) camera: Camera,
-    /// Whether the layer has another shape since.
-    pub(super) stale: bool,
     /// Gaussians that colour a pixel, ascending.
     pub(super) seen: Vec<u32>,
     /// (seen, coefficients) SH basis in the direction of each.
@@ -39,7 +37,7 @@ impl ViewTrace {
             starts.push(contributions.len() as u32);
         }
         let basis = basis(camera, layer, &seen, degree);
-        Self { camera: *camera, stale: false, seen, basis, starts, contributions }
+        Self { camera: *camera, seen, basis, starts, contributions }
     }
 
     /// Contributions to a pixel: place in `seen` and weight.
