@@ -70,14 +70,14 @@ impl DisocclusionConfig {
     }
 }
 
-/// What a step may change, and what it is compared with.
+/// What is trained, what is drawn with it, and what both are compared with.
 #[derive(Clone, Copy, Debug)]
 pub struct Disoccluded<'a> {
-    /// Indices of the static Gaussians that move.
+    /// Indices of the static Gaussians that are trained.
     pub gaussians: &'a [usize],
     /// The moving layer at t, which may stand before them.
     pub moving: &'a Gaussians,
-    /// Photographs and masks at t.
+    /// Photographs at t.
     pub views: &'a [TrainingView],
     /// Behind everything.
     pub sky: &'a SkyCube,
