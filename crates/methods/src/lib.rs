@@ -8,10 +8,12 @@ mod deformation;
 mod dynamic3dgs;
 mod hicom;
 mod nearest;
+mod neighbours;
 mod one_layer;
 mod photographs;
 mod recongs;
 mod saved;
+mod trackersplat;
 mod two_stages;
 #[cfg(test)]
 mod world;
@@ -21,6 +23,7 @@ pub use deformation::MotionFitConfig;
 pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig};
 pub use hicom::{Hicom, HicomConfig};
 pub use recongs::{Recongs, RecongsConfig};
+pub use trackersplat::{Trackersplat, TrackersplatConfig, TrainLayer};
 
 use serde::{Deserialize, Serialize};
 
@@ -34,4 +37,6 @@ pub struct MethodSettings {
     pub hicom: HicomConfig,
     /// ReCon-GS.
     pub recongs: RecongsConfig,
+    /// TrackerSplat.
+    pub trackersplat: TrackersplatConfig,
 }

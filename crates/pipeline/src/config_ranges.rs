@@ -129,6 +129,12 @@ const RANGES: &[(&str, Range)] = &[
     ("method.recongs.added.scale_rate", RATE),
     ("method.recongs.added.opacity_rate", RATE),
     ("method.recongs.added.sh0_rate", RATE),
+    ("method.trackersplat.position_rate", DECAYING_RATE),
+    ("method.trackersplat.position_rate_end", DECAYING_RATE),
+    ("method.trackersplat.quat_rate", RATE),
+    ("method.trackersplat.scale_rate", RATE),
+    ("method.trackersplat.opacity_rate", RATE),
+    ("method.trackersplat.sh0_rate", RATE),
 ];
 
 /// The settings outside their ranges, each with its key, value and range; none for a configuration that can be run.

@@ -3,8 +3,10 @@
 use crate::method::{Method, Parts};
 use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
-use ffgs_methods::{Dynamic3dgs, Hicom, Recongs};
+use ffgs_methods::{Dynamic3dgs, Hicom, Recongs, Trackersplat, TrainLayer};
 use ffgs_motion::{Standstill, TrackerMotion};
+use ffgs_trainer::{CpuBackend, train_layer};
+use ffgs_trainer_gpu::GpuBackend;
 
 /// The paper's method with all trackers.
 pub(crate) const TRACKERS: Method = Method {
@@ -53,6 +55,32 @@ pub(crate) const RECONGS: Method = Method {
     summary: "anchors that move all Gaussians, then Gaussians added (ReCon-GS, 2025)",
     build: |parts, _| Ok(trained_here(parts, Recongs::new(parts.config.method.recongs))),
 };
+
+/// TrackerSplat.
+pub(crate) const TRACKERSPLAT: Method = Method {
+    usage: "trackersplat",
+    former: None,
+    summary: "affine motions under footprints, solved in space and spread, then training (TrackerSplat, 2025)",
+    build: trackersplat,
+};
+
+fn trackersplat<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    if parts.tracks.is_empty() {
+        bail!(
+            "the capture has no trackers (tracks/tracks.json), and TrackerSplat moves Gaussians by tracks; add one"
+        );
+    }
+    let gpu = parts.gpu;
+    let train: Box<TrainLayer> = Box::new(move |task, schedule| {
+        match gpu {
+            None => train_layer(&CpuBackend, task, schedule, &mut |_| {})?,
+            Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, &mut |_| {})?,
+        }
+        Ok(())
+    });
+    let config = parts.config.method.trackersplat;
+    Ok(Box::new(Trackersplat { config, voronoi: parts.config.voronoi, train }))
+}
 
 /// A method that trains every Gaussian in its own way, on the CPU.
 fn trained_here<'a>(parts: &Parts, method: impl MotionMethod + 'a) -> Box<dyn MotionMethod + 'a> {

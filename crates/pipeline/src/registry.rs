@@ -33,6 +33,7 @@ pub const METHODS: Registry<Method> = Registry {
         &methods::DYNAMIC3DGS,
         &methods::HICOM,
         &methods::RECONGS,
+        &methods::TRACKERSPLAT,
     ],
 };
 

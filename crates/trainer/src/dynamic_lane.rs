@@ -5,7 +5,8 @@
 //! the dilated mask.
 
 use crate::adam::LearningRates;
-use crate::backend::{Around, CutLayers, LayerTask, LayerTraining, TaskView, TrainBackend};
+use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
+use crate::layer_lane::train_layer;
 use crate::prior::Prior;
 use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
@@ -120,33 +121,15 @@ pub fn train_dynamic<B: TrainBackend>(
         outside_alpha: config.outside_alpha,
     });
     let task = LayerTask { prior: surroundings.prior, ..LayerTask::new(&mut layer, views, around) };
-    let trained = train(backend, config, task, extent, seed, report);
-    *dynamic = Arc::unwrap_or_clone(layer);
-    trained
-}
-
-fn train<B: TrainBackend>(
-    backend: &B,
-    config: &DynamicLaneConfig,
-    task: LayerTask,
-    extent: f32,
-    seed: u64,
-    report: &mut dyn FnMut(Progress),
-) -> Result<(), B::Error> {
-    let views = task.views.len();
-    let mut training = backend.upload_layer(task)?;
     let schedule = Schedule {
         iterations: config.iterations,
         seed,
         sh_degree: &|_| None,
         rates: &|iteration| config.rates(iteration, extent),
     };
-    loop {
-        schedule.run(&mut training, views, |_, _| Ok(()), report)?;
-        if !training.must_repeat()? {
-            return training.download();
-        }
-    }
+    let trained = train_layer(backend, task, &schedule, report);
+    *dynamic = Arc::unwrap_or_clone(layer);
+    trained
 }
 
 fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView<'a> {

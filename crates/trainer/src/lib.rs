@@ -13,6 +13,7 @@ mod dynamic_lane;
 mod first_frame;
 mod gain;
 mod initialise;
+mod layer_lane;
 mod loss;
 mod prior;
 mod schedule;
@@ -36,6 +37,7 @@ pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_ex
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use gain::{Gain, PixelNoise, information_gain};
 pub use initialise::{INITIAL_OPACITY, from_points};
+pub use layer_lane::train_layer;
 pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
 pub use prior::{Drift, KINDS, Kind, Prior};
 pub use schedule::{Epochs, Schedule, decay};

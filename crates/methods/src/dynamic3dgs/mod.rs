@@ -14,11 +14,11 @@
 //! - All moments of Adam start anew in each frame, with bias corrections; there those of the colours go on, and the corrections do.
 //! - It runs on the CPU.
 
-mod neighbours;
 mod segmentation;
 mod terms;
 
 use crate::deformation::{columns, unit};
+use crate::neighbours::Neighbours;
 use crate::one_layer;
 use crate::photographs::Photographs;
 use crate::saved::{Reader, Writer};
@@ -28,7 +28,6 @@ use ffgs_method::{Finetuning, MotionMethod, Step};
 use ffgs_rasterizer::Gradients;
 use ffgs_trainer::{Adam, LearningRates, Update, camera_extent};
 use glam::{DVec3, Quat, Vec3};
-use neighbours::Neighbours;
 use segmentation::Segmentation;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -189,7 +188,8 @@ impl MotionMethod for Dynamic3dgs {
         }
         let timer = Instant::now();
         let start: Vec<[f32; 3]> = self.first.places[..self.foreground].iter().map(Vec3::to_array).collect();
-        let edges = Neighbours::new(&start, self.config.neighbours, self.config.neighbour_decay)?;
+        let edges =
+            Neighbours::new(&start, self.config.neighbours, terms::fall(self.config.neighbour_decay))?;
         let mut segmentation = Segmentation::new(step.now, gaussians, self.foreground);
         let mut photographs = Photographs::new(step, sky);
         let (start, rates) = (gaussians.clone(), self.rates(camera_extent(step.now)));

@@ -1,8 +1,8 @@
 //! Terms of the loss beside the photographs, with their derivatives in closed form.
 
 use super::Dynamic3dgsConfig;
-use super::neighbours::Neighbours;
 use crate::deformation::columns;
+use crate::neighbours::Neighbours;
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
@@ -30,6 +30,11 @@ struct Part {
     difference: Vec3,
     end: Quat,
     start: Quat,
+}
+
+/// Weights `exp(-decay d^2)` of neighbours at distances d (m); `decay` in 1/m^2.
+pub(super) fn fall(decay: f32) -> impl Fn(&[f32]) -> Vec<f32> {
+    move |lengths| lengths.iter().map(|length| (-decay * length * length).exp()).collect()
 }
 
 /// Rigidity (neighbours keep their place in the Gaussian's own axes), equal turns of neighbours, and isometry (distances of the first
@@ -133,7 +138,7 @@ mod tests {
     fn case() -> (Neighbours, Poses, Vec<[f32; 3]>, Vec<[f32; 4]>) {
         let mut places = vec![[0.0; 3]; COUNT];
         waves(places.as_flattened_mut(), 0.7);
-        let neighbours = Neighbours::new(&places, 4, 0.3).unwrap();
+        let neighbours = Neighbours::new(&places, 4, fall(0.3)).unwrap();
         let before = Poses {
             places: places.iter().map(|p| Vec3::from(*p) * 1.1).collect(),
             turns: (0..COUNT).map(|i| Quat::from_rotation_z(0.2 * i as f32)).collect(),
@@ -200,7 +205,7 @@ mod tests {
     fn a_rigid_motion_costs_nothing() {
         let (_, before, ..) = case();
         let start: Vec<[f32; 3]> = before.places.iter().map(Vec3::to_array).collect();
-        let edges = Neighbours::new(&start, 4, 0.3).unwrap();
+        let edges = Neighbours::new(&start, 4, fall(0.3)).unwrap();
         let (turn, far) = (Quat::from_rotation_x(0.8), Vec3::new(1.0, -2.0, 0.5));
         let now = Poses {
             places: before.places.iter().map(|place| turn * *place + far).collect(),
@@ -210,6 +215,14 @@ mod tests {
         assert!(value < 1e-5, "{value}");
         let bent = Poses { places: now.places.iter().map(|p| *p * 1.05).collect(), ..now };
         assert!(neighbourhood(&Dynamic3dgsConfig::default(), &edges, &before, &bent).value > 1e-2);
+    }
+
+    #[test]
+    fn weights_fall_with_the_square_of_the_distance() {
+        assert!(
+            largest_difference(&fall(2.0)(&[0.0, 1.0, 2.0]), &[1.0, (-2.0_f32).exp(), (-8.0_f32).exp()])
+                < 1e-7
+        );
     }
 
     #[test]

@@ -1,0 +1,25 @@
+//! Training of a layer whose Gaussians stay the same ones.
+
+use crate::backend::{LayerTask, LayerTraining, TrainBackend};
+use crate::schedule::Schedule;
+use crate::view::Progress;
+
+/// Trains `task`, without density control.
+///
+/// # Errors
+/// When the device fails or has too little memory.
+pub fn train_layer<B: TrainBackend>(
+    backend: &B,
+    task: LayerTask,
+    schedule: &Schedule,
+    report: &mut dyn FnMut(Progress),
+) -> Result<(), B::Error> {
+    let views = task.views.len();
+    let mut training = backend.upload_layer(task)?;
+    loop {
+        schedule.run(&mut training, views, |_, _| Ok(()), report)?;
+        if !training.must_repeat()? {
+            return training.download();
+        }
+    }
+}
