@@ -1,6 +1,6 @@
-// Decoder of the 4D stream, version 1, as docs/STREAM.md specifies it. No dependency; browsers and node.
+// Decoder of the 4D stream, versions 1 and 2, as docs/STREAM.md specifies it. No dependency; browsers and node.
 
-const VERSION = 1;
+const VERSIONS = [1, 2];
 const MAX_ROWS = 2 ** 25;
 const ROWS_PER_BYTE = 4096;
 const MAX_GROUPS = 16;
@@ -215,6 +215,31 @@ class RowModels {
     }
 }
 
+/** Differences to a row that is there. */
+class Residuals {
+    constructor() {
+        [this.moved, this.turned, this.scaled, this.coloured] = [0, 1, 2, 3].map(() => new Flag());
+        [this.position, this.rotation, this.scales, this.colour] = [three(), three(), three(), three()];
+        this.opacity = new Numbers();
+        this.harmonics = new Harmonics();
+    }
+
+    /** Adds what is coded to row `i`. */
+    decode(coder, steps, rows, i) {
+        const level = levelOf(steps, rows.scales[3 * i], rows.scales[3 * i + 1], rows.scales[3 * i + 2]);
+        const add = (flag, models, column, shift) => {
+            if (!flag.decode(coder)) return;
+            for (let k = 0; k < 3; k++) column[3 * i + k] += models[k].decode(coder) << shift;
+        };
+        add(this.moved, this.position, rows.position, level);
+        add(this.turned, this.rotation, rows.rotation, 0);
+        add(this.scaled, this.scales, rows.scales, 0);
+        rows.opacity[i] = Math.min(steps.opacity, Math.max(0, rows.opacity[i] + this.opacity.decode(coder)));
+        if (this.coloured.decode(coder)) changeColour(this.colour, coder, rows.colour, 3 * i, rows.colour, 3 * i);
+        this.harmonics.decode(coder, harmonicsOf(steps), rows.harmonics, MAX_HARMONICS * i);
+    }
+}
+
 /** Reads numbers of four bytes off a section. */
 class Words {
     constructor(bytes) {
@@ -255,6 +280,21 @@ function decodeKey(section, steps) {
     rows.count = count;
     for (let i = 0; i < count; i++) models.decode(coder, rows, i);
     return rows;
+}
+
+/** Static rows whose shape has changed: differences, or other Gaussians in their places. */
+function decodeRows(section, steps, rows) {
+    const [coder, changed, replaced] = [new Coder(section), new Flag(), new Flag()];
+    const [residuals, models] = [new Residuals(), new RowModels(steps)];
+    for (let i = 0; i < rows.count; i++) {
+        if (!changed.decode(coder)) continue;
+        if (replaced.decode(coder)) {
+            rows.harmonics.fill(0, MAX_HARMONICS * i, MAX_HARMONICS * (i + 1));
+            models.decode(coder, rows, i);
+        } else {
+            residuals.decode(coder, steps, rows, i);
+        }
+    }
 }
 
 function decodeColours(section, steps, rows) {
@@ -335,24 +375,12 @@ function decodeChange(section, steps, before) {
     const births = plausible(claimed, words.rest());
     const coder = new Coder(words.rest());
     const out = new Rows(before.count + births);
-    const [gone, moved, turned, scaled, coloured] = [0, 1, 2, 3, 4].map(() => new Flag());
-    const [position, rotation, scales, opacity, colour] = [three(), three(), three(), new Numbers(), three()];
-    const harmonics = new Harmonics();
-    const add = (flag, models, column, at, level) => {
-        if (!flag.decode(coder)) return;
-        for (let k = 0; k < 3; k++) column[at + k] += models[k].decode(coder) << level;
-    };
+    const [gone, residuals] = [new Flag(), new Residuals()];
     for (let i = 0; i < before.count; i++) {
         if (gone.decode(coder)) continue;
         const j = out.count++;
         predict(before, i, motions[before.group[i]] ?? still, steps, out, j);
-        const level = levelOf(steps, out.scales[3 * j], out.scales[3 * j + 1], out.scales[3 * j + 2]);
-        add(moved, position, out.position, 3 * j, level);
-        add(turned, rotation, out.rotation, 3 * j, 0);
-        add(scaled, scales, out.scales, 3 * j, 0);
-        out.opacity[j] = Math.min(steps.opacity, Math.max(0, out.opacity[j] + opacity.decode(coder)));
-        if (coloured.decode(coder)) changeColour(colour, coder, out.colour, 3 * j, out.colour, 3 * j);
-        harmonics.decode(coder, harmonicsOf(steps), out.harmonics, MAX_HARMONICS * j);
+        residuals.decode(coder, steps, out, j);
     }
     const born = new RowModels(steps);
     for (let i = 0; i < births; i++) born.decode(coder, out, out.count++);
@@ -386,7 +414,7 @@ function sectionsOf(bytes) {
     const name = (at) => String.fromCharCode(...bytes.subarray(at, at + 4));
     const end = bytes.length - 4;
     if (end < 8 || name(0) !== 'FF4D') throw new Error('not a frame of a stream');
-    if (view.getUint32(4, true) !== VERSION) throw new Error(`version ${view.getUint32(4, true)} is not ${VERSION}`);
+    if (!VERSIONS.includes(view.getUint32(4, true))) throw new Error(`version ${view.getUint32(4, true)} is unknown`);
     const out = new Map();
     for (let at = 8; at < end; ) {
         if (at + 8 > end) throw new Error('corrupt: cut off');
@@ -451,8 +479,8 @@ export class Stream {
         out.text = text;
         out.manifest = JSON.parse(await text('manifest.json'));
         if (out.manifest.format !== 'ffgs-4d') throw new Error('manifest.json is not that of a 4D stream');
-        if (out.manifest.version !== VERSION) {
-            throw new Error(`version ${out.manifest.version} of the stream is not ${VERSION}; reload the page or use a newer player`);
+        if (!VERSIONS.includes(out.manifest.version)) {
+            throw new Error(`version ${out.manifest.version} of the stream is unknown; reload the page or use a newer player`);
         }
         out.state = null;
         await out.refresh();
@@ -508,6 +536,7 @@ export class Stream {
         }
         if (!next) throw new Error('no static layer before this frame');
         if (entry.key) next.still = next.base.clone();
+        if (sections.has('SROW')) decodeRows(sections.get('SROW'), still, next.still);
         if (sections.has('SCOL')) decodeColours(sections.get('SCOL'), still, next.still);
         next.moving = entry.key ? decodeKey(need('DKEY'), moving) : decodeChange(need('DMOV'), moving, next.moving);
         if (sections.has('SKYE')) next.sky = sections.get('SKYE').slice();

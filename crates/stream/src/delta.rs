@@ -78,6 +78,11 @@ impl Residual {
         }
     }
 
+    /// Whether anything but colours changes.
+    pub(crate) fn changes_shape(&self) -> bool {
+        [self.position, self.rotation, self.scales] != [[0; 3]; 3] || self.opacity != 0
+    }
+
     /// The row that the prediction and this give.
     pub(crate) fn apply(&self, predicted: &Row, steps: &Steps) -> Row {
         let level = steps.level(predicted.scales);

@@ -23,7 +23,7 @@ pub enum Problem {
     #[error("not a stream's: {0}")]
     Json(#[from] serde_json::Error),
     /// A later program wrote it.
-    #[error("version {found} of the format is not {known}; use a newer program")]
+    #[error("version {found} of the format is unknown, the latest known is {known}; use a newer program")]
     Version {
         /// Of the file.
         found: u32,

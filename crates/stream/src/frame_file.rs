@@ -3,8 +3,10 @@
 use crate::error::Problem;
 
 const MAGIC: &[u8; 4] = b"FF4D";
-/// Of the format; a reader refuses others.
-pub(crate) const VERSION: u32 = 1;
+/// Of the format that is written.
+pub(crate) const VERSION: u32 = 2;
+/// The first, which has no changed static rows, is read as well.
+pub(crate) const READABLE: std::ops::RangeInclusive<u32> = 1..=VERSION;
 const HEAD: usize = 8;
 const CHECKSUM: usize = 4;
 /// CRC-32 of any bytes with their own CRC-32 behind them.
@@ -15,6 +17,8 @@ const RESIDUE: u32 = 0x2144_DF1C;
 pub(crate) enum Tag {
     /// All of the static layer.
     StaticKey,
+    /// Static Gaussians whose shape has changed.
+    StaticRows,
     /// Changes of the static layer's colours.
     StaticColours,
     /// All of the dynamic layer.
@@ -28,8 +32,9 @@ pub(crate) enum Tag {
 }
 
 impl Tag {
-    const ALL: [(Self, [u8; 4]); 6] = [
+    const ALL: [(Self, [u8; 4]); 7] = [
         (Self::StaticKey, *b"STAT"),
+        (Self::StaticRows, *b"SROW"),
         (Self::StaticColours, *b"SCOL"),
         (Self::DynamicKey, *b"DKEY"),
         (Self::DynamicChange, *b"DMOV"),
@@ -76,7 +81,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Vec<(Tag, &[u8])>, Problem> {
         return Err(Problem::Corrupt("not a frame of a stream".into()));
     }
     let found = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
-    if found != VERSION {
+    if !READABLE.contains(&found) {
         return Err(Problem::Version { found, known: VERSION });
     }
     if crc32fast::hash(body).to_le_bytes() != *checksum {

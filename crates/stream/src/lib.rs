@@ -1,9 +1,10 @@
 //! The 4D stream: a run as one small file per frame, with random access, checksums, and appending while the run goes on.
 //!
-//! The static layer is written once and then only its colours where they change; the dynamic layer as key frames and, between
+//! The static layer is written once and then only what changes of it, which is mostly colours; the dynamic layer as key frames and, between
 //! them, rigid motions of groups with residuals, deaths and births. Everything is integers behind an adaptive binary range
 //! coder. docs/STREAM.md specifies every byte; this crate is the reference decoder.
 
+mod changed_rows;
 mod delta;
 mod error;
 mod frame_file;

@@ -1,7 +1,7 @@
 //! `manifest.json`, written once, and `frames.jsonl`, a line per finished frame.
 
 use crate::error::{InFile, Problem, StreamError};
-use crate::frame_file::VERSION;
+use crate::frame_file::{READABLE, VERSION};
 use crate::steps::Steps;
 use ffgs_core::read_text;
 use serde::{Deserialize, Serialize};
@@ -60,7 +60,7 @@ impl Manifest {
         if self.format != FORMAT {
             return Err(Problem::Corrupt(format!("format `{}` is not `{FORMAT}`", self.format)));
         }
-        if self.version != VERSION {
+        if !READABLE.contains(&self.version) {
             return Err(Problem::Version { found: self.version, known: VERSION });
         }
         if !(self.static_steps.are_valid() && self.dynamic_steps.are_valid()) {

@@ -1,3 +1,4 @@
+use crate::changed_rows::decode_rows;
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{Tag, decode, is_listed};
 use crate::layers::{decode_change, decode_colours, decode_key, decode_uncertainty};
@@ -160,6 +161,9 @@ impl Reader {
         };
         if entry.key {
             state.still.clone_from(&state.base);
+        }
+        if let Some(section) = find(Tag::StaticRows) {
+            decode_rows(&mut state.still, still_steps, section);
         }
         if let Some(section) = find(Tag::StaticColours) {
             decode_colours(&mut state.still, still_steps, section);

@@ -1,3 +1,4 @@
+use crate::changed_rows::{count, encode_rows};
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{Tag, checksum, encode};
 use crate::layers::{Change, encode_change, encode_colours, encode_key, encode_uncertainty};
@@ -16,7 +17,7 @@ use std::path::{Path, PathBuf};
 pub struct Frame<'a> {
     /// Frame of the capture, behind those already written.
     pub frame: u64,
-    /// What stands still. As long as only its colours change, only these are written.
+    /// What stands still. As long as its Gaussians keep their number and most their shape, only what changes is written.
     pub static_layer: &'a Gaussians,
     /// What moves.
     pub dynamic_layer: &'a Gaussians,
@@ -46,20 +47,16 @@ pub struct Writer {
 /// The static layer as last written.
 #[derive(Debug)]
 struct Still {
-    source: Gaussians,
+    /// In the last static key.
     base: Vec<Row>,
     now: Vec<Row>,
 }
 
 impl Still {
-    /// Whether a layer differs in nothing but its colours.
-    fn has_shape_of(&self, layer: &Gaussians) -> bool {
-        let own = &self.source;
-        own.means == layer.means
-            && own.quats == layer.quats
-            && own.log_scales == layer.log_scales
-            && own.opacity_logits == layer.opacity_logits
-            && own.sh.len() == layer.sh.len()
+    /// Whether sending all of a layer is better than what has changed.
+    fn is_far_from(&self, layer: &Gaussians, steps: &Steps) -> bool {
+        let n = self.base.len();
+        layer.len() != n || 2 * count(&self.base, steps, |i| steps.measures(layer, i)) > n
     }
 }
 
@@ -123,7 +120,8 @@ impl Writer {
     /// When columns do not match or are not finite, the frame is not behind the last one, or a file cannot be written.
     pub fn push(&mut self, frame: &Frame) -> Result<Entry, StreamError> {
         self.check(frame).in_file(&self.folder)?;
-        let static_key = self.still.as_ref().is_none_or(|still| !still.has_shape_of(frame.static_layer));
+        let steps = &self.manifest.static_steps;
+        let static_key = self.still.as_ref().is_none_or(|still| still.is_far_from(frame.static_layer, steps));
         let key = static_key || self.moving.is_none() || self.since_key >= self.key_every;
         let mut sections = Vec::new();
         self.static_sections(frame, static_key, key, &mut sections);
@@ -168,15 +166,16 @@ impl Writer {
             let rows: Vec<Row> =
                 (0..layer.len()).map(|i| Row::rounded(&steps.measures(layer, i), steps, 0)).collect();
             out.push((Tag::StaticKey, encode_key(&rows, steps)));
-            self.still = Some(Still { source: layer.clone(), base: rows.clone(), now: rows });
+            self.still = Some(Still { base: rows.clone(), now: rows });
         } else if let Some(still) = &mut self.still {
             if key {
                 still.now.clone_from(&still.base);
             }
-            out.push((
-                Tag::StaticColours,
-                encode_colours(&mut still.now, steps, |i| steps.measures(layer, i)),
-            ));
+            let target = |i: usize| steps.measures(layer, i);
+            if count(&still.now, steps, target) > 0 {
+                out.push((Tag::StaticRows, encode_rows(&mut still.now, steps, target)));
+            }
+            out.push((Tag::StaticColours, encode_colours(&mut still.now, steps, target)));
         }
     }
 

@@ -59,6 +59,25 @@ impl Scene {
         out
     }
 
+    /// From frame t on, every tenth static Gaussian is a little elsewhere, and every twentieth is another one.
+    fn settle(&mut self, t: usize) {
+        let other = layer(200, 3, 20.0 + t as f32);
+        for still in &mut self.still[t..] {
+            for i in (t..200).step_by(10) {
+                still.means[i][t % 3] += 0.3;
+                still.quats[i][0] += 0.2;
+                still.log_scales[i][1] += 0.2;
+                still.opacity_logits[i] += 0.5;
+            }
+            for i in (t + 1..200).step_by(20) {
+                still.means[i] = other.means[i];
+                still.quats[i] = other.quats[i];
+                still.log_scales[i] = other.log_scales[i];
+                still.sh[16 * i..16 * (i + 1)].copy_from_slice(other.sh_of(i));
+            }
+        }
+    }
+
     fn frame(&self, t: usize) -> Frame<'_> {
         Frame {
             frame: t as u64,
@@ -185,6 +204,8 @@ fn a_conformance_stream_can_be_written_again() {
     let scratch = TempDir::new().unwrap();
     let folder = named.as_deref().unwrap_or(scratch.path());
     let mut scene = Scene::new(7);
+    scene.settle(2);
+    scene.settle(3);
     for t in 5..7 {
         scene.still[t] = layer(60, 3, 8.0 + t as f32);
     }
@@ -252,6 +273,26 @@ fn a_static_layer_that_changes_its_shape_is_written_again() {
     let keys: Vec<bool> = reader.entries().iter().map(|e| e.static_key).collect();
     assert_eq!(keys, [true, false, true, false]);
     for t in [3, 1, 2, 0] {
+        scene.check(t, &reader.read(t as u64).unwrap());
+    }
+}
+
+#[test]
+fn static_gaussians_that_changed_are_sent_alone() {
+    let (mut scene, folder) = (Scene::new(10), TempDir::new().unwrap());
+    scene.settle(2);
+    scene.settle(5);
+    scene.settle(6);
+    scene.write(folder.path());
+    let mut reader = Reader::open(folder.path()).unwrap();
+    let sent = |e: &Entry| e.sections.get("StaticRows").copied();
+    let frames: Vec<u64> = reader.entries().iter().filter(|e| sent(e).is_some()).map(|e| e.frame).collect();
+    // Key frames count from the static key.
+    assert_eq!(frames, [2, 4, 5, 6, 8]);
+    let whole = reader.entries()[0].sections["StaticKey"];
+    assert!(sent(&reader.entries()[2]).is_some_and(|bytes| bytes < whole / 4), "{whole}");
+    assert!(reader.entries()[1..].iter().all(|e| !e.static_key));
+    for t in [9, 1, 3, 8, 5, 4, 6, 2, 7, 0] {
         scene.check(t, &reader.read(t as u64).unwrap());
     }
 }
@@ -337,7 +378,7 @@ fn another_version_a_foreign_manifest_and_a_path_outside_are_refused() {
     let manifest = folder.path().join("manifest.json");
     let good = std::fs::read_to_string(&manifest).unwrap();
     for (from, to, says) in [
-        ("\"version\": 1", "\"version\": 9", "version 9"),
+        ("\"version\": 2", "\"version\": 9", "version 9"),
         ("ffgs-4d", "other", "other"),
         ("\"rotation\": 48", "\"rotation\": 0", "range"),
         ("\"title\"", "\"subtitle\"", "title"),
@@ -347,7 +388,8 @@ fn another_version_a_foreign_manifest_and_a_path_outside_are_refused() {
         let error = Reader::open(folder.path()).unwrap_err().to_string();
         assert!(error.contains("manifest.json") && error.contains(says), "{error}");
     }
-    std::fs::write(&manifest, &good).unwrap();
+    std::fs::write(&manifest, good.replace("\"version\": 2", "\"version\": 1")).unwrap();
+    scene.check(0, &Reader::open(folder.path()).unwrap().read(0).unwrap());
     let list = folder.path().join("frames.jsonl");
     let text = std::fs::read_to_string(&list).unwrap();
     std::fs::write(&list, text.replace("000000.4df", "../x")).unwrap();
