@@ -1,7 +1,7 @@
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    Around, Columns, LayerTask, LayerTraining, LearningRates, Schedule, TILE_DILATION, TaskView,
+    Around, Columns, Epochs, LayerTask, LayerTraining, LearningRates, Schedule, TILE_DILATION, TaskView,
     TrainBackend, decay,
 };
 use std::sync::Arc;
@@ -69,7 +69,6 @@ pub fn finetune<B: TrainBackend>(
     let views: Vec<TaskView> = views.iter().filter_map(|view| task_view(view, first == 0)).collect();
     let schedule = Schedule {
         iterations: config.iterations,
-        seed,
         sh_degree: &|_| None,
         rates: &|iteration| config.rates(iteration),
     };
@@ -82,7 +81,7 @@ pub fn finetune<B: TrainBackend>(
         ..LayerTask::new(&mut layer, views, Around::Sky(sky))
     };
     let trained = backend.upload_layer(task).and_then(|mut training| {
-        schedule.run(&mut training, count, |_, _| Ok(()), &mut |_| {})?;
+        schedule.run(&mut training, &mut Epochs::new(count, seed), |_, _| Ok(()), &mut |_| {})?;
         training.download()
     });
     *gaussians = Arc::unwrap_or_clone(layer);

@@ -4,7 +4,10 @@ use crate::photographs::Photographs;
 use anyhow::Result;
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::Gradients;
-use ffgs_trainer::{Adam, DensityConfig, DensityControl, GradientSums, LearningRates, Update, decay, normal};
+use ffgs_trainer::{
+    Adam, DensityConfig, DensityControl, Epochs, GradientSums, LearningRates, Schedule, Training, Update,
+    decay, normal,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -79,48 +82,98 @@ impl AddedConfig {
     }
 }
 
-/// Adds copies of the small Gaussians whose mean gradient is large, behind the others, and trains them for some steps; the others
-/// stay. `extent` is the radius of the cameras (m).
-///
-/// # Errors
-/// When the training diverges.
-pub(crate) fn grow(
-    mut gaussians: Gaussians,
-    sums: &GradientSums,
-    photographs: &mut Photographs,
-    config: &AddedConfig,
+/// Copies behind Gaussians that stay, under training.
+pub(crate) struct Added<'a, 'v> {
+    config: &'a AddedConfig,
+    /// Radius of the cameras (m).
     extent: f32,
-    seed: u64,
-) -> Result<Gaussians> {
-    let base = gaussians.len();
-    let mut control = DensityControl::new(config.density(), seed);
-    let copied = candidates(&gaussians, sums, config, extent);
-    gaussians.extend(&copies(&gaussians, &copied, seed));
-    let mut adam = Adam::new(gaussians.len(), gaussians.sh_degree());
-    let mut sums = GradientSums::new(gaussians.len());
-    let mut gradients = Gradients::default();
-    for step in 1..=config.iterations {
-        if gaussians.len() == base {
-            break;
-        }
-        photographs.differentiate(&gaussians, &mut gradients)?;
-        sums.add(&gradients.mean2d_norm, &gradients.touched);
-        // In the official code a round replaces the parameters and with them the gradients: no step follows.
-        if config.densify_every > 0 && step.is_multiple_of(config.densify_every) {
-            let mut plan = control.plan(&gaussians, &sums, extent);
-            plan.clone.clear();
-            plan.split.retain(|&i| i >= base);
-            plan.prune[..base].fill(false);
-            let map = control.apply(&plan, &mut gaussians);
-            adam.remap(&map);
-            sums = GradientSums::new(map.len());
-            continue;
-        }
-        let is_new: Vec<bool> = (0..gaussians.len()).map(|i| i >= base).collect();
-        let rates = config.rates(step, extent);
-        adam.step(&mut gaussians, &gradients.gaussians, &rates, Update::Touched(&is_new));
+    /// Number of Gaussians that stay.
+    base: usize,
+    gaussians: &'a mut Gaussians,
+    photographs: &'a mut Photographs<'v>,
+    control: DensityControl,
+    adam: Adam,
+    gradients: Gradients,
+    sums: GradientSums,
+    steps: usize,
+}
+
+impl<'a, 'v> Added<'a, 'v> {
+    /// Copies the small Gaussians whose mean gradient is large; `None` where there are none.
+    pub(crate) fn new(
+        config: &'a AddedConfig,
+        gaussians: &'a mut Gaussians,
+        sums: &GradientSums,
+        photographs: &'a mut Photographs<'v>,
+        (extent, seed): (f32, u64),
+    ) -> Option<Self> {
+        let base = gaussians.len();
+        let copied = candidates(gaussians, sums, config, extent);
+        gaussians.extend(&copies(gaussians, &copied, seed));
+        (!copied.is_empty()).then(|| Self {
+            config,
+            extent,
+            base,
+            control: DensityControl::new(config.density(), seed),
+            adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
+            gradients: Gradients::default(),
+            sums: GradientSums::new(gaussians.len()),
+            gaussians,
+            photographs,
+            steps: 0,
+        })
     }
-    Ok(gaussians)
+
+    /// Takes the steps over views in the given order.
+    ///
+    /// # Errors
+    /// When the training diverges.
+    pub(crate) fn train(mut self, views: &mut Epochs) -> Result<()> {
+        let (config, extent) = (self.config, self.extent);
+        let schedule = Schedule {
+            iterations: config.iterations,
+            sh_degree: &|_| None,
+            rates: &|iteration| config.rates(iteration + 1, extent),
+        };
+        schedule.run(&mut self, views, |_, _| Ok(()), &mut |_| ())
+    }
+
+    /// Splits and removes copies.
+    fn revise(&mut self) {
+        let mut plan = self.control.plan(self.gaussians, &self.sums, self.extent);
+        plan.clone.clear();
+        plan.split.retain(|&i| i >= self.base);
+        plan.prune[..self.base].fill(false);
+        let map = self.control.apply(&plan, self.gaussians);
+        self.adam.remap(&map);
+        self.sums = GradientSums::new(map.len());
+    }
+}
+
+impl Training for Added<'_, '_> {
+    type Error = anyhow::Error;
+
+    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+        self.photographs.forward(view, self.gaussians).map(|_| ())
+    }
+
+    fn backward(&mut self) -> Result<()> {
+        self.photographs.backward(self.gaussians, &mut self.gradients);
+        self.sums.add(&self.gradients.mean2d_norm, &self.gradients.touched);
+        Ok(())
+    }
+
+    /// In the official code a round of density control replaces the parameters and with them the gradients: no step is taken then.
+    fn step(&mut self, rates: &LearningRates) -> Result<()> {
+        self.steps += 1;
+        if self.config.densify_every > 0 && self.steps.is_multiple_of(self.config.densify_every) {
+            self.revise();
+            return Ok(());
+        }
+        let is_new: Vec<bool> = (0..self.gaussians.len()).map(|i| i >= self.base).collect();
+        self.adam.step(self.gaussians, &self.gradients.gaussians, rates, Update::Touched(&is_new));
+        Ok(())
+    }
 }
 
 /// Gaussians that are copied.
@@ -145,6 +198,7 @@ fn copies(gaussians: &Gaussians, of: &[usize], seed: u64) -> Gaussians {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::photographs::view_order;
     use crate::world::World;
 
     #[test]
@@ -161,7 +215,9 @@ mod tests {
         assert_eq!(candidates(&large, &sums, &config, 7.0), [0, 2]);
         world.with_step(1, |step| {
             let mut photographs = Photographs::new(step, &world.sky);
-            let grown = grow(gaussians.clone(), &sums, &mut photographs, &config, 7.0, 1).unwrap();
+            let mut grown = gaussians.clone();
+            let added = Added::new(&config, &mut grown, &sums, &mut photographs, (7.0, 1)).unwrap();
+            added.train(&mut view_order(step)).unwrap();
             assert_eq!(grown.select(&(0..count).collect::<Vec<_>>()), gaussians);
             assert!(grown.len() > count && grown.is_finite(), "{} of {count}", grown.len());
         });

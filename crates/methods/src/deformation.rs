@@ -7,7 +7,7 @@ use crate::photographs::Photographs;
 use anyhow::Result;
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::Gradients;
-use ffgs_trainer::{AdamVec, GradientSums, Update};
+use ffgs_trainer::{AdamVec, GradientSums, LearningRates, Training, Update};
 use glam::Quat;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -130,31 +130,64 @@ impl Deltas {
     }
 }
 
-/// Fits `deltas` to the photographs and moves `gaussians` by them. Returns the gradient sums of the moved Gaussians.
-///
-/// # Errors
-/// When the training diverges.
-pub(crate) fn fit(
-    deformation: &Deformation,
-    deltas: &mut Deltas,
-    gaussians: &mut Gaussians,
-    photographs: &mut Photographs,
-    config: &MotionFitConfig,
-) -> Result<GradientSums> {
-    let (base, mut gradients) = (gaussians.clone(), Gradients::default());
-    let mut sums = GradientSums::new(base.len());
-    let Deltas { values: deltas, adam } = deltas;
-    deltas.iter_mut().for_each(|delta| *delta *= config.momentum);
-    for _ in 0..config.iterations {
-        // What the last step changes is the start of the next frame, as in the official code.
-        deformation.apply(deltas, &base, gaussians);
-        photographs.differentiate(gaussians, &mut gradients)?;
-        sums.add(&gradients.mean2d_norm, &gradients.touched);
-        let mut by_deltas = deformation.backward(deltas, &base, &gradients.gaussians);
-        regularise(deltas, config.regulariser, &mut by_deltas);
-        adam.step(deltas, &by_deltas, (config.rate, EPSILON), Update::Dense);
+/// The deltas under training, and the Gaussians that they move.
+pub(crate) struct Fit<'a, 'v> {
+    deformation: &'a Deformation,
+    deltas: &'a mut Deltas,
+    base: Gaussians,
+    gaussians: &'a mut Gaussians,
+    photographs: &'a mut Photographs<'v>,
+    regulariser: f32,
+    gradients: Gradients,
+    /// Of the moved Gaussians.
+    pub sums: GradientSums,
+}
+
+impl<'a, 'v> Fit<'a, 'v> {
+    /// From the deltas of the last frame.
+    pub(crate) fn new(
+        (deformation, deltas): (&'a Deformation, &'a mut Deltas),
+        gaussians: &'a mut Gaussians,
+        photographs: &'a mut Photographs<'v>,
+        config: &MotionFitConfig,
+    ) -> Self {
+        deltas.values.iter_mut().for_each(|delta| *delta *= config.momentum);
+        Self {
+            base: gaussians.clone(),
+            sums: GradientSums::new(gaussians.len()),
+            gradients: Gradients::default(),
+            regulariser: config.regulariser,
+            deformation,
+            deltas,
+            gaussians,
+            photographs,
+        }
     }
-    Ok(sums)
+}
+
+impl Training for Fit<'_, '_> {
+    type Error = anyhow::Error;
+
+    /// What the last step changes is the start of the next frame, as in the official code: the Gaussians follow before a step, not after.
+    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+        self.deformation.apply(&self.deltas.values, &self.base, self.gaussians);
+        self.photographs.forward(view, self.gaussians).map(|_| ())
+    }
+
+    fn backward(&mut self) -> Result<()> {
+        self.photographs.backward(self.gaussians, &mut self.gradients);
+        self.sums.add(&self.gradients.mean2d_norm, &self.gradients.touched);
+        Ok(())
+    }
+
+    /// All values of a delta have the rate of positions.
+    fn step(&mut self, rates: &LearningRates) -> Result<()> {
+        let Deltas { values, adam } = &mut *self.deltas;
+        let mut by_deltas = self.deformation.backward(values, &self.base, &self.gradients.gaussians);
+        regularise(values, self.regulariser, &mut by_deltas);
+        adam.step(values, &by_deltas, (rates.means, EPSILON), Update::Dense);
+        Ok(())
+    }
 }
 
 /// Adds the derivative of `weight * mean |delta - identity|` and returns its value.

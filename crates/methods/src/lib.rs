@@ -21,8 +21,8 @@ mod world;
 pub use added::AddedConfig;
 pub use deformation::MotionFitConfig;
 pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig};
-pub use hicom::{Hicom, HicomConfig};
-pub use recongs::{Recongs, RecongsConfig};
+pub use hicom::{HicomConfig, hicom};
+pub use recongs::{RecongsConfig, recongs};
 pub use trackersplat::{Trackersplat, TrackersplatConfig, TrainLayer};
 
 use serde::{Deserialize, Serialize};

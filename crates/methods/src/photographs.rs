@@ -8,45 +8,43 @@ use ffgs_rasterizer::{
 };
 use ffgs_trainer::{Epochs, LossRegion, PhotometricLoss, SkyView};
 
-/// The photographs of a frame, drawn one after another in random epochs.
+/// The photographs of a frame, and how Gaussians look from their cameras.
 pub(crate) struct Photographs<'a> {
     views: &'a [TrainingView],
     sky: &'a SkyCube,
-    order: Epochs,
-    /// The view that was drawn last.
+    /// The view at hand.
     pub at: usize,
     behind: PlanarImage,
     comparison: Comparison,
 }
 
 impl<'a> Photographs<'a> {
-    /// Those of `step`; their order is fixed by seed and frame.
+    /// Those of `step`.
     pub(crate) fn new(step: &Step<'a>, sky: &'a SkyCube) -> Self {
-        Self {
-            views: step.now,
-            sky,
-            order: Epochs::new((0..step.now.len()).collect(), frame_seed(step)),
-            at: 0,
-            behind: no_image(),
-            comparison: Comparison::new(),
-        }
+        Self { views: step.now, sky, at: 0, behind: no_image(), comparison: Comparison::new() }
     }
 
-    /// The loss of the next view, and its derivatives in place of the content of `out`; zero where nothing was drawn.
+    /// Renders a view; its loss.
     ///
     /// # Errors
     /// When the loss is not finite: the training has diverged.
-    pub(crate) fn differentiate(&mut self, gaussians: &Gaussians, out: &mut Gradients) -> Result<f64> {
-        let Some(view) = self.order.draw() else {
-            out.reset(gaussians.len(), gaussians.sh_degree());
-            out.fill_untouched();
-            return Ok(0.0);
-        };
+    pub(crate) fn forward(&mut self, view: usize, gaussians: &Gaussians) -> Result<f64> {
         self.at = view;
         let TrainingView { camera, image, .. } = &self.views[view];
         SkyView::new(camera, self.sky.face_size()).render(self.sky, &mut self.behind);
-        self.comparison.differentiate(gaussians, camera, Background::Image(&self.behind), image, out)
+        self.comparison.forward(gaussians, camera, Background::Image(&self.behind), image)
     }
+
+    /// The derivatives of that loss in place of the content of `out`; zero where nothing was drawn.
+    pub(crate) fn backward(&mut self, gaussians: &Gaussians, out: &mut Gradients) {
+        let camera = &self.views[self.at].camera;
+        self.comparison.backward(gaussians, camera, Background::Image(&self.behind), out);
+    }
+}
+
+/// The order in which a frame's views are drawn: random epochs, fixed by seed and frame.
+pub(crate) fn view_order(step: &Step) -> Epochs {
+    Epochs::new(step.now.len(), frame_seed(step))
 }
 
 /// A render against an image: `0.8 L1 + 0.2 (1 - SSIM)` over all pixels.
@@ -67,31 +65,40 @@ impl Comparison {
         }
     }
 
-    /// The loss, and its derivatives in place of the content of `out`; zero where nothing was drawn.
+    /// The loss of a render against `target`.
     ///
     /// # Errors
     /// When the loss is not finite: the training has diverged.
-    pub(crate) fn differentiate(
+    pub(crate) fn forward(
         &mut self,
         gaussians: &Gaussians,
         camera: &Camera,
         background: Background,
         target: &ImageRgb8,
-        out: &mut Gradients,
     ) -> Result<f64> {
-        out.reset(gaussians.len(), gaussians.sh_degree());
-        let frame = View { camera, background, tiles: None };
-        self.rasterizer.render(gaussians, &frame, &mut self.tape);
+        self.rasterizer.render(gaussians, &View { camera, background, tiles: None }, &mut self.tape);
         let (image, pixels) = (self.tape.image(), &mut self.by_pixels);
         let value = self.loss.evaluate(image, target, LossRegion::Full, pixels).total;
         ensure!(
             value.is_finite(),
             "the training diverged: its loss is {value}; lower the rates of the method's table in --config"
         );
+        Ok(value)
+    }
+
+    /// The derivatives of that loss in place of the content of `out`; zero where nothing was drawn.
+    pub(crate) fn backward(
+        &mut self,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        background: Background,
+        out: &mut Gradients,
+    ) {
+        out.reset(gaussians.len(), gaussians.sh_degree());
         let upstream = PixelGradients { image: &self.by_pixels, transmittance: None };
+        let frame = View { camera, background, tiles: None };
         self.rasterizer.backward(gaussians, &frame, &mut self.tape, &upstream, out);
         out.fill_untouched();
-        Ok(value)
     }
 }
 

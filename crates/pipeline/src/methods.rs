@@ -3,7 +3,7 @@
 use crate::method::{Method, Parts};
 use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
-use ffgs_methods::{Dynamic3dgs, Hicom, Recongs, Trackersplat, TrainLayer};
+use ffgs_methods::{Dynamic3dgs, Trackersplat, TrainLayer, hicom, recongs};
 use ffgs_motion::{Standstill, TrackerMotion};
 use ffgs_trainer::{CpuBackend, train_layer};
 use ffgs_trainer_gpu::GpuBackend;
@@ -37,7 +37,7 @@ pub(crate) const HICOM: Method = Method {
     usage: "hicom",
     former: None,
     summary: "grids of cubes that move all Gaussians, then Gaussians added (HiCoM, 2024)",
-    build: |parts, _| Ok(trained_here(parts, Hicom::new(parts.config.method.hicom))),
+    build: |parts, _| Ok(trained_here(parts, hicom(parts.config.method.hicom))),
 };
 
 /// Dynamic 3D Gaussians.
@@ -53,7 +53,7 @@ pub(crate) const RECONGS: Method = Method {
     usage: "recongs",
     former: None,
     summary: "anchors that move all Gaussians, then Gaussians added (ReCon-GS, 2025)",
-    build: |parts, _| Ok(trained_here(parts, Recongs::new(parts.config.method.recongs))),
+    build: |parts, _| Ok(trained_here(parts, recongs(parts.config.method.recongs))),
 };
 
 /// TrackerSplat.
@@ -71,10 +71,10 @@ fn trackersplat<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod +
         );
     }
     let gpu = parts.gpu;
-    let train: Box<TrainLayer> = Box::new(move |task, schedule| {
+    let train: Box<TrainLayer> = Box::new(move |task, schedule, seed| {
         match gpu {
-            None => train_layer(&CpuBackend, task, schedule, &mut |_| {})?,
-            Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, &mut |_| {})?,
+            None => train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?,
+            Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, seed, &mut |_| {})?,
         }
         Ok(())
     });

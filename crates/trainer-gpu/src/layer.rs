@@ -10,7 +10,7 @@ use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
 use ffgs_trainer::{
     Around, Columns, GradientSums, IndexMap, LayerTask, LayerTraining, LearningRates, Progress, Revision,
-    SKY_DOUBT, TaskView,
+    SKY_DOUBT, TaskView, Training,
 };
 use std::sync::Arc;
 
@@ -132,7 +132,7 @@ fn targets(around: &Around, workspace: &Workspace, views: &[TaskView]) -> Result
     views.iter().map(target).collect()
 }
 
-impl LayerTraining for GpuLayer<'_> {
+impl Training for GpuLayer<'_> {
     type Error = GpuError;
 
     fn forward(&mut self, view: usize, sh_degree: Option<usize>) -> Result<(), GpuError> {
@@ -174,7 +174,9 @@ impl LayerTraining for GpuLayer<'_> {
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {
         self.workspace.progress(done, all, self.optimiser.scene.count)
     }
+}
 
+impl LayerTraining for GpuLayer<'_> {
     /// Decided on the host: a few times in a training, 300 bytes per Gaussian.
     fn revise(
         &mut self,

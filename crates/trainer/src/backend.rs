@@ -34,11 +34,10 @@ pub trait TrainBackend: Sync {
     fn upload_sky<'a>(&'a self, task: SkyTask<'a>) -> Result<Self::Sky<'a>, Self::Error>;
 }
 
-/// Gaussians under training. The order of calls: [`forward`](Self::forward), [`backward`](Self::backward),
-/// [`step`](Self::step), as often as the schedule says, between steps [`revise`](Self::revise), at the end
-/// [`download`](Self::download). Until then the layer of the task is as it was, or of no meaning after an error.
-pub trait LayerTraining {
-    /// What can go wrong on the device.
+/// What a [`Schedule`](crate::Schedule) steps: [`forward`](Self::forward), [`backward`](Self::backward), [`step`](Self::step), as often
+/// as the schedule says.
+pub trait Training {
+    /// What can go wrong in a step.
     type Error;
 
     /// Draws a view with colours of at most `sh_degree` and differentiates the loss by its pixels.
@@ -47,13 +46,13 @@ pub trait LayerTraining {
     /// When the device fails.
     fn forward(&mut self, view: usize, sh_degree: Option<usize>) -> Result<(), Self::Error>;
 
-    /// Differentiates by the Gaussians that were drawn, and adds the pull of the prior.
+    /// Differentiates by what is trained, and adds the derivatives of the terms of the loss that are not photometric.
     ///
     /// # Errors
     /// When the device fails.
     fn backward(&mut self) -> Result<(), Self::Error>;
 
-    /// One step of Adam down these derivatives for the Gaussians that were drawn, and for the sky where it is trained.
+    /// One step of Adam down these derivatives.
     ///
     /// # Errors
     /// When the device fails.
@@ -64,8 +63,16 @@ pub trait LayerTraining {
     ///
     /// # Errors
     /// When the device fails.
-    fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Self::Error>;
+    fn progress(&mut self, _done: usize, _all: usize) -> Result<Option<Progress>, Self::Error> {
+        Ok(None)
+    }
+}
 
+/// Gaussians under training on a backend. [`backward`](Training::backward) adds the derivative of the task's prior,
+/// [`step`](Training::step) moves the Gaussians that were drawn, and the sky where it is trained. Between steps
+/// [`revise`](Self::revise) may be called, at the end [`download`](Self::download). Until then the layer of the task is as it was, or of
+/// no meaning after an error.
+pub trait LayerTraining: Training {
     /// Hands the Gaussians and their gradient sums to `decide`, which may change them, and goes on with what it leaves.
     ///
     /// # Errors

@@ -9,7 +9,7 @@ use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::densify::{DensityConfig, DensityControl};
 use crate::dynamic_lane::robust_extent;
-use crate::schedule::{Schedule, decay};
+use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
@@ -128,7 +128,6 @@ pub fn train_disoccluded<B: TrainBackend>(
     let extent = robust_extent(&found);
     let schedule = Schedule {
         iterations: config.iterations,
-        seed,
         sh_degree: &|_| None,
         rates: &|iteration| config.rates(iteration, extent),
     };
@@ -143,7 +142,7 @@ pub fn train_disoccluded<B: TrainBackend>(
             Revision::default()
         })
     };
-    schedule.run(&mut training, used.len(), &mut reuse, report)?;
+    schedule.run(&mut training, &mut Epochs::new(used.len(), seed), &mut reuse, report)?;
     training.download()?;
     let layer = Arc::make_mut(layer);
     for (from, &to) in what.gaussians.iter().enumerate() {

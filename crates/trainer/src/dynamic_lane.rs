@@ -123,11 +123,10 @@ pub fn train_dynamic<B: TrainBackend>(
     let task = LayerTask { prior: surroundings.prior, ..LayerTask::new(&mut layer, views, around) };
     let schedule = Schedule {
         iterations: config.iterations,
-        seed,
         sh_degree: &|_| None,
         rates: &|iteration| config.rates(iteration, extent),
     };
-    let trained = train_layer(backend, task, &schedule, report);
+    let trained = train_layer(backend, task, &schedule, seed, report);
     *dynamic = Arc::unwrap_or_clone(layer);
     trained
 }

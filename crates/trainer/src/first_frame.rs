@@ -3,7 +3,7 @@
 use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::densify::{DensityConfig, DensityControl, reset_opacities};
-use crate::schedule::{Schedule, decay};
+use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use serde::{Deserialize, Serialize};
@@ -99,11 +99,15 @@ pub fn train_first_frame<B: TrainBackend>(
     let mut rounds = Rounds { config, extent, density: DensityControl::new(density_config(config), seed) };
     let schedule = Schedule {
         iterations: config.iterations,
-        seed,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
         rates: &|iteration| rates(config, iteration, extent),
     };
-    schedule.run(&mut training, views.len(), |done, training| rounds.after_step(done, training), report)?;
+    schedule.run(
+        &mut training,
+        &mut Epochs::new(views.len(), seed),
+        |done, training| rounds.after_step(done, training),
+        report,
+    )?;
     training.download()?;
     Ok(FirstFrame { gaussians: Arc::unwrap_or_clone(layer), sky })
 }

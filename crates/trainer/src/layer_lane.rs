@@ -1,10 +1,10 @@
 //! Training of a layer whose Gaussians stay the same ones.
 
 use crate::backend::{LayerTask, LayerTraining, TrainBackend};
-use crate::schedule::Schedule;
+use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 
-/// Trains `task`, without density control.
+/// Trains `task`, without density control; `seed` fixes the order of its views.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -12,12 +12,13 @@ pub fn train_layer<B: TrainBackend>(
     backend: &B,
     task: LayerTask,
     schedule: &Schedule,
+    seed: u64,
     report: &mut dyn FnMut(Progress),
 ) -> Result<(), B::Error> {
     let views = task.views.len();
     let mut training = backend.upload_layer(task)?;
     loop {
-        schedule.run(&mut training, views, |_, _| Ok(()), report)?;
+        schedule.run(&mut training, &mut Epochs::new(views, seed), |_, _| Ok(()), report)?;
         if !training.must_repeat()? {
             return training.download();
         }

@@ -26,6 +26,7 @@ mod view;
 pub use adam::{Adam, AdamVec, Columns, LearningRates, Update, bias_corrections};
 pub use backend::{
     Around, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView, TrainBackend,
+    Training,
 };
 pub use background::{BackgroundConfig, StaticMethod};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};

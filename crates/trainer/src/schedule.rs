@@ -1,5 +1,5 @@
 use crate::adam::LearningRates;
-use crate::backend::LayerTraining;
+use crate::backend::Training;
 use crate::view::Progress;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -14,10 +14,9 @@ pub struct Epochs {
 }
 
 impl Epochs {
-    /// Draws from `items`, in orders that `seed` fixes.
-    pub fn new(items: Vec<usize>, seed: u64) -> Self {
-        let next = items.len();
-        Self { order: items, next, rng: ChaCha8Rng::seed_from_u64(seed) }
+    /// Draws from 0 to `count - 1`, in orders that `seed` fixes.
+    pub fn new(count: usize, seed: u64) -> Self {
+        Self { order: (0..count).collect(), next: count, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
     /// The next item; `None` when there are none at all.
@@ -41,8 +40,6 @@ pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
 pub struct Schedule<'a> {
     /// Steps, one view each.
     pub iterations: usize,
-    /// Fixes the order of the views.
-    pub seed: u64,
     /// SH degree of the colours at a step; `None` = the Gaussians' own.
     pub sh_degree: &'a dyn Fn(usize) -> Option<usize>,
     /// Step sizes at a step.
@@ -50,21 +47,19 @@ pub struct Schedule<'a> {
 }
 
 impl Schedule<'_> {
-    /// Takes the steps, over `views` views in epochs. `after` is called with the number of steps done, for what comes between
-    /// two of them.
+    /// Takes the steps, over `views`. `after` is called with the number of steps done, for what comes between two of them.
     ///
     /// # Errors
     /// When the device fails, or `after` does.
-    pub fn run<L: LayerTraining>(
+    pub fn run<T: Training>(
         &self,
-        training: &mut L,
-        views: usize,
-        mut after: impl FnMut(usize, &mut L) -> Result<(), L::Error>,
+        training: &mut T,
+        views: &mut Epochs,
+        mut after: impl FnMut(usize, &mut T) -> Result<(), T::Error>,
         report: &mut dyn FnMut(Progress),
-    ) -> Result<(), L::Error> {
-        let mut epochs = Epochs::new((0..views).collect(), self.seed);
+    ) -> Result<(), T::Error> {
         for iteration in 0..self.iterations {
-            let Some(view) = epochs.draw() else { break };
+            let Some(view) = views.draw() else { break };
             training.forward(view, (self.sh_degree)(iteration))?;
             training.backward()?;
             training.step(&(self.rates)(iteration))?;
@@ -81,12 +76,12 @@ mod tests {
 
     #[test]
     fn an_epoch_visits_every_item_once() {
-        let mut epochs = Epochs::new(vec![3, 5, 8], 1);
+        let mut epochs = Epochs::new(3, 1);
         for _ in 0..4 {
             let mut seen: Vec<_> = (0..3).map(|_| epochs.draw().unwrap()).collect();
             seen.sort_unstable();
-            assert_eq!(seen, [3, 5, 8]);
+            assert_eq!(seen, [0, 1, 2]);
         }
-        assert_eq!(Epochs::new(Vec::new(), 1).draw(), None);
+        assert_eq!(Epochs::new(0, 1).draw(), None);
     }
 }

@@ -48,7 +48,7 @@ pub fn train_sky<B: TrainBackend>(
     let tasks =
         views.iter().map(|view| TaskView::of_region(view, outside(view, config.mask_dilation))).collect();
     let mut training = backend.upload_sky(SkyTask { sky, rate: config.sky_rate, layer, views: tasks })?;
-    let mut epochs = Epochs::new((0..views.len()).collect(), seed);
+    let mut epochs = Epochs::new(views.len(), seed);
     for _ in 0..config.sky_iterations {
         let Some(view) = epochs.draw() else { break };
         training.step(view)?;

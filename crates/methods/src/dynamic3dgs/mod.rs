@@ -20,13 +20,13 @@ mod terms;
 use crate::deformation::{columns, unit};
 use crate::neighbours::Neighbours;
 use crate::one_layer;
-use crate::photographs::Photographs;
+use crate::photographs::{Photographs, view_order};
 use crate::saved::{Reader, Writer};
 use anyhow::{Result, ensure};
 use ffgs_core::{Gaussians, Scene, StageLog};
 use ffgs_method::{Finetuning, MotionMethod, Step};
 use ffgs_rasterizer::Gradients;
-use ffgs_trainer::{Adam, LearningRates, Update, camera_extent};
+use ffgs_trainer::{Adam, LearningRates, Schedule, Training, Update, camera_extent};
 use glam::{DVec3, Quat, Vec3};
 use segmentation::Segmentation;
 use serde::{Deserialize, Serialize};
@@ -190,18 +190,20 @@ impl MotionMethod for Dynamic3dgs {
         let start: Vec<[f32; 3]> = self.first.places[..self.foreground].iter().map(Vec3::to_array).collect();
         let edges =
             Neighbours::new(&start, self.config.neighbours, terms::fall(self.config.neighbour_decay))?;
-        let mut segmentation = Segmentation::new(step.now, gaussians, self.foreground);
-        let mut photographs = Photographs::new(step, sky);
-        let (start, rates) = (gaussians.clone(), self.rates(camera_extent(step.now)));
-        let mut adam = Adam::new(gaussians.len(), gaussians.sh_degree());
-        let mut gradients = Gradients::default();
-        for _ in 0..self.config.iterations {
-            photographs.differentiate(gaussians, &mut gradients)?;
-            let sum = &mut gradients.gaussians;
-            segmentation.add(self.config.segmentation, photographs.at, gaussians, sum)?;
-            self.add_terms(&edges, &start, gaussians, sum);
-            adam.step(gaussians, sum, &rates, Update::Dense);
-        }
+        let mut training = Frame {
+            method: self,
+            edges,
+            start: gaussians.clone(),
+            segmentation: Segmentation::new(step.now, gaussians, self.foreground),
+            photographs: Photographs::new(step, sky),
+            adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
+            gradients: Gradients::default(),
+            gaussians,
+        };
+        let rates = self.rates(camera_extent(step.now));
+        let schedule =
+            Schedule { iterations: self.config.iterations, sh_degree: &|_| None, rates: &|_| rates };
+        schedule.run(&mut training, &mut view_order(step), |_, _| Ok(()), &mut |_| ())?;
         log.since("training", timer);
         Ok(Finetuning::Done)
     }
@@ -231,6 +233,41 @@ impl MotionMethod for Dynamic3dgs {
             );
         }
         state.end()
+    }
+}
+
+/// A frame under training.
+struct Frame<'a> {
+    method: &'a Dynamic3dgs,
+    edges: Neighbours,
+    /// As the prediction left them.
+    start: Gaussians,
+    segmentation: Segmentation<'a>,
+    photographs: Photographs<'a>,
+    adam: Adam,
+    gradients: Gradients,
+    gaussians: &'a mut Gaussians,
+}
+
+impl Training for Frame<'_> {
+    type Error = anyhow::Error;
+
+    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+        self.photographs.forward(view, self.gaussians).map(|_| ())
+    }
+
+    fn backward(&mut self) -> Result<()> {
+        self.photographs.backward(self.gaussians, &mut self.gradients);
+        let (view, weight) = (self.photographs.at, self.method.config.segmentation);
+        let sum = &mut self.gradients.gaussians;
+        self.segmentation.add(weight, view, self.gaussians, sum)?;
+        self.method.add_terms(&self.edges, &self.start, self.gaussians, sum);
+        Ok(())
+    }
+
+    fn step(&mut self, rates: &LearningRates) -> Result<()> {
+        self.adam.step(self.gaussians, &self.gradients.gaussians, rates, Update::Dense);
+        Ok(())
     }
 }
 

@@ -47,7 +47,8 @@ impl<'a> Segmentation<'a> {
         let camera = &self.views[view].camera;
         let behind = Background::Colour(BACKGROUND);
         let (coloured, gradients) = (&self.coloured, &mut self.gradients);
-        let value = self.comparison.differentiate(coloured, camera, behind, &self.masks[view], gradients)?;
+        let value = self.comparison.forward(coloured, camera, behind, &self.masks[view])?;
+        self.comparison.backward(coloured, camera, behind, gradients);
         let add =
             |sum: &mut [f32], more: &[f32]| sum.iter_mut().zip(more).for_each(|(s, m)| *s += weight * m);
         add(out.means.as_flattened_mut(), gradients.gaussians.means.as_flattened());

@@ -1,7 +1,11 @@
-use crate::deformation::{DELTA, Deformation, Deltas};
+use crate::added::AddedConfig;
+use crate::deformation::{DELTA, Deformation, Deltas, MotionFitConfig};
 use crate::hicom::HicomConfig;
 use crate::saved::{Reader, Writer};
+use crate::two_stages::Nodes;
 use anyhow::{Result, bail, ensure};
+use ffgs_method::Step;
+use ffgs_trainer::AdamVec;
 
 /// Grids of cubes over one box, from fine to coarse, with a delta per cell.
 pub(super) struct Grids {
@@ -11,31 +15,19 @@ pub(super) struct Grids {
     /// Cells along each axis, per level.
     sizes: Vec<usize>,
     /// Of all cells, level after level.
-    pub deltas: Deltas,
+    deltas: Deltas,
 }
 
 impl Grids {
     /// A box of the given quantiles of the positions, and so many cells that each of the finest holds
     /// `gaussians_per_cell`.
-    pub(crate) fn new(means: &[[f32; 3]], config: &HicomConfig) -> Self {
+    fn new(means: &[[f32; 3]], config: &HicomConfig) -> Self {
         let corner = |share: f32| [0, 1, 2].map(|a| quantile(means, a, share) * (1.0 + config.quantile));
         let cells = means.len() as f64 / config.gaussians_per_cell as f64;
         let sizes = sizes(cells.cbrt().ceil() as usize, config);
         let nodes: usize = sizes.iter().map(|n| n * n * n).sum();
         let (least, most) = (corner(config.quantile), corner(1.0 - config.quantile));
         Self { least, most, sizes, deltas: Deltas::identity(nodes) }
-    }
-
-    /// Who follows which cell; positions outside the box follow those at its faces.
-    pub(crate) fn deformation(&self, means: &[[f32; 3]]) -> Deformation {
-        let mut first = 0;
-        let level = |&size: &usize| {
-            let cells = means.iter().map(|mean| (first + self.cell(size, mean)) as u32).collect();
-            first += size * size * size;
-            cells
-        };
-        let levels = self.sizes.iter().map(level).collect();
-        Deformation::new(levels, self.deltas.nodes().len())
     }
 
     /// As in the official code, half a cell off: the first cell of an axis is one and a half wide, the last half of one.
@@ -46,12 +38,39 @@ impl Grids {
             cell * size + (share.clamp(0.0, 1.0) * size as f32 - 0.5) as usize
         })
     }
+}
 
-    pub(crate) fn save(&self, out: Writer) -> Writer {
+impl Nodes for Grids {
+    type Config = HicomConfig;
+
+    fn stages(config: &HicomConfig) -> (&MotionFitConfig, &AddedConfig) {
+        (&config.motion, &config.added)
+    }
+
+    /// The grids of the first frame that moves, for good; the moments start anew in each.
+    fn next(last: Option<Self>, means: &[[f32; 3]], config: &HicomConfig, _: &Step) -> Result<Self> {
+        let mut grids = last.unwrap_or_else(|| Self::new(means, config));
+        grids.deltas.adam = AdamVec::new(grids.deltas.nodes().len(), DELTA);
+        Ok(grids)
+    }
+
+    /// Positions outside the box follow the cells at its faces.
+    fn deformation(&mut self, means: &[[f32; 3]]) -> Result<(Deformation, &mut Deltas)> {
+        let mut first = 0;
+        let level = |&size: &usize| {
+            let cells = means.iter().map(|mean| (first + self.cell(size, mean)) as u32).collect();
+            first += size * size * size;
+            cells
+        };
+        let levels = self.sizes.iter().map(level).collect();
+        Ok((Deformation::new(levels, self.deltas.nodes().len()), &mut self.deltas))
+    }
+
+    fn save(&self, out: Writer) -> Writer {
         out.column(&[self.least, self.most].concat()).count(self.sizes[0]).column(&self.deltas.values)
     }
 
-    pub(crate) fn restore(state: &mut Reader, config: &HicomConfig) -> Result<Self> {
+    fn restore(state: &mut Reader, config: &HicomConfig) -> Result<Self> {
         let (corners, finest, deltas) = (state.column()?, state.count()?, state.column()?);
         let [[a, b, c], [d, e, f]] = *corners.as_chunks::<3>().0 else { bail!("a box has two corners") };
         let sizes = sizes(finest, config);

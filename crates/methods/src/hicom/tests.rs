@@ -1,6 +1,11 @@
 use super::*;
 use crate::world::{World, advance, repeats};
+use ffgs_core::StageLog;
 use glam::Vec3;
+
+fn method(config: HicomConfig) -> TwoStages<Grids> {
+    TwoStages::new(config)
+}
 
 /// Few steps, with everything that a frame does.
 fn short() -> HicomConfig {
@@ -12,7 +17,7 @@ fn short() -> HicomConfig {
 
 #[test]
 fn a_resumed_run_and_other_threads_give_equal_bytes() {
-    repeats(&|| Box::new(Hicom::new(short())));
+    repeats(&|| Box::new(method(short())));
 }
 
 /// 1.1 cm is a fifth of the reach of one level: 100 steps of 5e-4 m.
@@ -21,7 +26,7 @@ fn a_slow_rigid_motion_is_followed() {
     let world = World::moving(Vec3::new(0.01, 0.005, 0.0));
     let mut config = HicomConfig::default();
     config.added.grow_gradient = 1e9;
-    let (mut method, mut scene) = (Hicom::new(config), world.scene());
+    let (mut method, mut scene) = (method(config), world.scene());
     let [.., still] = world.errors(&scene, 1);
     advance(&world, &mut method, 1, &mut scene).unwrap();
     let [.., found] = world.errors(&scene, 1);
@@ -31,7 +36,7 @@ fn a_slow_rigid_motion_is_followed() {
 #[test]
 fn a_motion_beyond_reach_is_not() {
     let world = World::moving(Vec3::new(0.5, 0.0, 0.0));
-    let (mut method, mut scene) = (Hicom::new(HicomConfig::default()), world.scene());
+    let (mut method, mut scene) = (method(HicomConfig::default()), world.scene());
     advance(&world, &mut method, 1, &mut scene).unwrap();
     // Three levels of 100 steps of 5e-4 m.
     assert!(world.errors(&scene, 1)[1] > 0.5 - 3.0 * 100.0 * 5e-4);
@@ -40,7 +45,7 @@ fn a_motion_beyond_reach_is_not() {
 #[test]
 fn what_was_added_is_paid_for_in_the_next_frame() {
     let world = World::moving(Vec3::new(0.01, 0.0, 0.0));
-    let (mut method, mut scene) = (Hicom::new(short()), world.scene());
+    let (mut method, mut scene) = (method(short()), world.scene());
     let first = scene.joint().len();
     advance(&world, &mut method, 1, &mut scene).unwrap();
     assert!(method.added > 0 && scene.dynamic.gaussians.len() == first + method.added);
@@ -54,6 +59,6 @@ fn a_training_that_diverges_says_so() {
     let world = World::moving(Vec3::new(0.01, 0.0, 0.0));
     let mut scene = world.scene();
     scene.dynamic.gaussians.sh[0] = [f32::MAX; 3];
-    let error = advance(&world, &mut Hicom::new(short()), 1, &mut scene).unwrap_err().to_string();
+    let error = advance(&world, &mut method(short()), 1, &mut scene).unwrap_err().to_string();
     assert!(error.contains("diverged") && error.contains("rates"), "{error}");
 }

@@ -1,8 +1,12 @@
 use super::RecongsConfig;
-use crate::deformation::{DELTA, Deformation, Deltas, columns, unit};
+use crate::added::AddedConfig;
+use crate::deformation::{DELTA, Deformation, Deltas, MotionFitConfig, columns, unit};
 use crate::nearest::nearest;
+use crate::photographs::frame_seed;
 use crate::saved::{Reader, Writer};
+use crate::two_stages::Nodes;
 use anyhow::{Context, Result, ensure};
+use ffgs_method::Step;
 use ffgs_trainer::AdamVec;
 use nalgebra::{Matrix4, Vector4};
 use rand::SeedableRng;
@@ -17,12 +21,12 @@ pub(super) struct Anchors {
     /// Places (m), per level.
     levels: Vec<Vec<[f32; 3]>>,
     /// Of all anchors.
-    pub deltas: Deltas,
+    deltas: Deltas,
 }
 
 impl Anchors {
     /// Samples Gaussians at `means`; nothing moves yet.
-    pub(crate) fn new(means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Self {
+    fn new(means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let finest = means.len().div_ceil(config.gaussians_per_anchor);
         let sizes = std::iter::successors(Some(finest), |n| Some(n / config.level_ratio));
@@ -36,7 +40,7 @@ impl Anchors {
     ///
     /// # Errors
     /// When a position is not finite.
-    pub(crate) fn renewed(&self, means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Result<Self> {
+    fn renewed(&self, means: &[[f32; 3]], config: &RecongsConfig, seed: u64) -> Result<Self> {
         let mut new = Self::new(means, config, seed);
         let (mut values, mut first) = (Vec::new(), 0);
         for (level, old) in new.levels.iter().zip(&self.levels) {
@@ -51,12 +55,25 @@ impl Anchors {
         new.deltas = Deltas::new(values);
         Ok(new)
     }
+}
 
-    /// Every Gaussian follows the nearest anchor of each level.
-    ///
-    /// # Errors
-    /// When a position is not finite.
-    pub(crate) fn deformation(&self, means: &[[f32; 3]]) -> Result<Deformation> {
+impl Nodes for Anchors {
+    type Config = RecongsConfig;
+
+    fn stages(config: &RecongsConfig) -> (&MotionFitConfig, &AddedConfig) {
+        (&config.motion, &config.added)
+    }
+
+    fn next(last: Option<Self>, means: &[[f32; 3]], config: &RecongsConfig, step: &Step) -> Result<Self> {
+        let seed = frame_seed(step);
+        match last {
+            None => Ok(Self::new(means, config, seed)),
+            Some(old) if step.frame.is_multiple_of(config.renew_every) => old.renewed(means, config, seed),
+            Some(old) => Ok(old),
+        }
+    }
+
+    fn deformation(&mut self, means: &[[f32; 3]]) -> Result<(Deformation, &mut Deltas)> {
         let mut first = 0;
         let mut levels = Vec::new();
         for level in &self.levels {
@@ -64,10 +81,10 @@ impl Anchors {
             levels.push(near.iter().map(|near| first + near.first().map_or(0, |n| n.1)).collect());
             first += level.len() as u32;
         }
-        Ok(Deformation::new(levels, self.deltas.nodes().len()))
+        Ok((Deformation::new(levels, self.deltas.nodes().len()), &mut self.deltas))
     }
 
-    pub(crate) fn save(&self, out: Writer) -> Writer {
+    fn save(&self, out: Writer) -> Writer {
         let levels = self.levels.iter();
         let out = levels.fold(out.count(self.levels.len()), |out, level| out.column(level.as_flattened()));
         let [first, second] = self.deltas.adam.moments();
@@ -75,7 +92,7 @@ impl Anchors {
         out.column(&self.deltas.values).column(first).column(second).count(steps)
     }
 
-    pub(crate) fn restore(state: &mut Reader) -> Result<Self> {
+    fn restore(state: &mut Reader, _: &RecongsConfig) -> Result<Self> {
         let levels = (0..state.count()?).map(|_| state.column());
         let levels = levels.map(|level| level.map(|level| level.as_chunks::<3>().0.to_vec()));
         let levels: Vec<Vec<[f32; 3]>> = levels.collect::<Result<_>>()?;
@@ -183,7 +200,7 @@ mod tests {
         assert!(largest_difference(&renewed.deltas.values, &shared.repeat(57)) < 1e-6);
         assert_ne!(renewed.levels, anchors.levels, "other samples");
         let bytes = renewed.save(Writer::default()).finish();
-        let restored = Anchors::restore(&mut Reader(&bytes)).unwrap();
+        let restored = Anchors::restore(&mut Reader(&bytes), &config).unwrap();
         assert!(restored.levels == renewed.levels && restored.deltas.values == renewed.deltas.values);
     }
 

@@ -1,10 +1,9 @@
 //! ReCon-GS: Continuum-Preserved Gaussian Streaming for Fast and Compact Reconstruction of Dynamic Scenes (Fu et al., NeurIPS 2025).
 //!
-//! As [`crate::hicom`], with anchors in the place of cells: Gaussians sampled evenly in space, of which every Gaussian follows the nearest
-//! of each level. Every few frames they are sampled anew and inherit the motion of the old ones. Losses, rates and schedules are those of the
-//! official configuration `dynerf.yaml`.
+//! Nodes are anchors: Gaussians sampled evenly in space, of which every Gaussian follows the nearest of each level. Every few frames they
+//! are sampled anew and inherit the motion of the old ones. What all methods of nodes have in common is in [`crate::two_stages`].
 //!
-//! Deviations: those of HiCoM, and
+//! Deviations, beside those of all such methods:
 //! - the mean of quaternions has the sign of the nearest one; the official one has the sign that the eigenvector happens to have;
 //! - where a level has fewer than three anchors, an anchor inherits from those that there are; the official code stops.
 
@@ -12,13 +11,9 @@ mod anchors;
 
 use crate::added::AddedConfig;
 use crate::deformation::MotionFitConfig;
-use crate::photographs::frame_seed;
-use crate::saved::{Reader, Writer};
-use crate::two_stages::{Stages, merge};
+use crate::two_stages::TwoStages;
 use anchors::Anchors;
-use anyhow::Result;
-use ffgs_core::{Scene, StageLog};
-use ffgs_method::{Finetuning, MotionMethod, Step};
+use ffgs_method::MotionMethod;
 use serde::{Deserialize, Serialize};
 
 /// Settings of ReCon-GS.
@@ -52,61 +47,9 @@ impl Default for RecongsConfig {
     }
 }
 
-/// The method, with what it keeps between frames.
-pub struct Recongs {
-    config: RecongsConfig,
-    /// None before the first frame that moves.
-    anchors: Option<Anchors>,
-    /// Gaussians that the last frame added; they are the last ones.
-    added: usize,
-}
-
-impl Recongs {
-    /// Nothing has moved yet.
-    pub fn new(config: RecongsConfig) -> Self {
-        Self { config, anchors: None, added: 0 }
-    }
-}
-
-impl MotionMethod for Recongs {
-    /// Moves nothing: the anchors of the last frame are where the training starts. Removes as many Gaussians as were added.
-    fn predict(&mut self, _: &Step, scene: &mut Scene, _: &mut StageLog) -> Result<()> {
-        merge(scene, std::mem::take(&mut self.added));
-        Ok(())
-    }
-
-    fn finetune(&mut self, step: &Step, scene: &mut Scene, log: &mut StageLog) -> Result<Finetuning> {
-        let Self { config, anchors, .. } = self;
-        let stages = Stages { motion: &config.motion, added: &config.added };
-        self.added = stages.train(step, scene, log, |means| {
-            let seed = frame_seed(step);
-            let next = match anchors.take() {
-                None => Anchors::new(means, config, seed),
-                Some(old) if step.frame.is_multiple_of(config.renew_every) => {
-                    old.renewed(means, config, seed)?
-                }
-                Some(old) => old,
-            };
-            let anchors = anchors.insert(next);
-            Ok((anchors.deformation(means)?, &mut anchors.deltas))
-        })?;
-        Ok(Finetuning::Done)
-    }
-
-    fn save(&self) -> Vec<u8> {
-        let head = Writer::default().count(self.added);
-        self.anchors.as_ref().map_or_else(Vec::new, |anchors| anchors.save(head).finish())
-    }
-
-    fn restore(&mut self, state: &[u8], _: &Scene) -> Result<()> {
-        if state.is_empty() {
-            return Ok(());
-        }
-        let mut state = Reader(state);
-        self.added = state.count()?;
-        self.anchors = Some(Anchors::restore(&mut state)?);
-        state.end()
-    }
+/// The method, before the first frame that moves.
+pub fn recongs(config: RecongsConfig) -> impl MotionMethod {
+    TwoStages::<Anchors>::new(config)
 }
 
 #[cfg(test)]
@@ -125,8 +68,8 @@ mod tests {
     /// With anchors that stay, whose moments go on, and with new ones.
     #[test]
     fn a_resumed_run_and_other_threads_give_equal_bytes() {
-        repeats(&|| Box::new(Recongs::new(short(2))));
-        repeats(&|| Box::new(Recongs::new(short(9))));
+        repeats(&|| Box::new(recongs(short(2))));
+        repeats(&|| Box::new(recongs(short(9))));
     }
 
     #[test]
@@ -134,7 +77,7 @@ mod tests {
         let world = World::moving(Vec3::new(0.01, 0.005, 0.0));
         let mut config = RecongsConfig::default();
         config.added.grow_gradient = 1e9;
-        let (mut method, mut scene) = (Recongs::new(config), world.scene());
+        let (mut method, mut scene) = (recongs(config), world.scene());
         let [.., still] = world.errors(&scene, 1);
         advance(&world, &mut method, 1, &mut scene).unwrap();
         let [.., found] = world.errors(&scene, 1);

@@ -87,8 +87,8 @@ impl TrackersplatConfig {
     }
 }
 
-/// Trains a layer on the device of the run.
-pub type TrainLayer<'a> = dyn Fn(LayerTask, &Schedule) -> Result<()> + Send + 'a;
+/// Trains a layer on the device of the run; the seed fixes the order of views.
+pub type TrainLayer<'a> = dyn Fn(LayerTask, &Schedule, u64) -> Result<()> + Send + 'a;
 
 /// The method; it keeps nothing between frames.
 pub struct Trackersplat<'a> {
@@ -181,11 +181,10 @@ impl Trackersplat<'_> {
         let extent = camera_extent(step.now);
         let schedule = Schedule {
             iterations: self.config.iterations,
-            seed: frame_seed(step),
             sh_degree: &|_| None,
             rates: &|done| self.config.rates(done, extent),
         };
-        (self.train)(task, &schedule)?;
+        (self.train)(task, &schedule, frame_seed(step))?;
         let trained = Arc::unwrap_or_clone(layer);
         ensure!(
             trained.is_finite(),

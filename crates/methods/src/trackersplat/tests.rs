@@ -8,7 +8,7 @@ use glam::Vec3;
 fn short(iterations: usize) -> Trackersplat<'static> {
     let config = TrackersplatConfig { iterations, ..TrackersplatConfig::default() };
     let train: Box<TrainLayer> =
-        Box::new(|task, schedule| Ok(train_layer(&CpuBackend, task, schedule, &mut |_| {})?));
+        Box::new(|task, schedule, seed| Ok(train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?));
     Trackersplat { config, voronoi: VoronoiConfig::default(), train }
 }
 

@@ -1,6 +1,6 @@
 use super::around::{Surrounding, TrainedSky};
 use super::cut::Cut;
-use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView};
+use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training};
 use crate::background::SkyBehind;
 use crate::densify::GradientSums;
 use crate::prior::Penalty;
@@ -64,7 +64,7 @@ impl<'a> CpuLayer<'a> {
     }
 }
 
-impl LayerTraining for CpuLayer<'_> {
+impl Training for CpuLayer<'_> {
     type Error = Infallible;
 
     fn forward(&mut self, index: usize, sh_degree: Option<usize>) -> Result<(), Infallible> {
@@ -110,7 +110,9 @@ impl LayerTraining for CpuLayer<'_> {
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {
         Ok(Some(self.running.progress(done, all, self.layer.len())))
     }
+}
 
+impl LayerTraining for CpuLayer<'_> {
     fn revise(
         &mut self,
         decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,

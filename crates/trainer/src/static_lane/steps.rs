@@ -4,7 +4,7 @@ use super::Photographed;
 use crate::adam::Columns;
 use crate::backend::{Around, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};
-use crate::schedule::Schedule;
+use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 use ffgs_core::Gaussians;
 use std::sync::Arc;
@@ -26,10 +26,9 @@ pub(super) fn train<B: TrainBackend>(
     let mut training = backend.upload_layer(LayerTask { columns: Columns::COLOURS, ..task })?;
     let schedule = Schedule {
         iterations: config.static_iterations,
-        seed,
         sh_degree: &|_| None,
         rates: &|_| config.static_rates(),
     };
-    schedule.run(&mut training, views.len(), |_, _| Ok(()), report)?;
+    schedule.run(&mut training, &mut Epochs::new(views.len(), seed), |_, _| Ok(()), report)?;
     training.download()
 }

@@ -6,7 +6,7 @@ use ffgs_core::{
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer::{
-    Around, BackgroundConfig, Columns, DynamicLaneConfig, FirstFrame, FirstFrameConfig, LayerTask,
+    Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
     LayerTraining, LearningRates, LossRegion, Photographed, PhotometricLoss, Schedule, SkyView, StaticLane,
     StaticMethod, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic, train_first_frame,
     train_sky,
@@ -274,8 +274,10 @@ pub(crate) fn what_is_fixed_stays<B: TrainBackend>(backend: &B) {
     let mut training = backend.upload_layer(task).unwrap();
     let rates =
         LearningRates { means: 0.0, quats: 0.0, scales: 1e-2, opacities: 1e-2, sh0: 1e-2, sh_rest: 1e-3 };
-    let schedule = Schedule { iterations: 12, seed: SEED, sh_degree: &|_| None, rates: &|_| rates };
-    schedule.run(&mut training, world.views.len(), |_, _| Ok(()), &mut |_| {}).unwrap();
+    let schedule = Schedule { iterations: 12, sh_degree: &|_| None, rates: &|_| rates };
+    schedule
+        .run(&mut training, &mut Epochs::new(world.views.len(), SEED), |_, _| Ok(()), &mut |_| {})
+        .unwrap();
     training.download().unwrap();
     let [front, before] = [&*layer, &start].map(|g| g.select(&(0..fixed).collect::<Vec<_>>()));
     assert!(front == before, "the Gaussians at the front");
