@@ -40,7 +40,7 @@ Every command of ffgs and of ffgs-lab passes through, with the program built in 
   cargo xtask motion-eval CAPTURE               the motion initialisation against ground truth
   cargo xtask simulate                          the fusion on simulated scenes
   cargo xtask ablations [CAPTURE]               every single change of the configuration
-  cargo xtask compare [CAPTURE]                 all trackers, none, and each alone
+  cargo xtask compare CAPTURE --methods all     every method from one first frame: quality, seconds, storage
   cargo xtask devices                           the GPUs, and which one a run takes
   cargo xtask COMMAND --help                    the options of one of them";
 

@@ -25,7 +25,7 @@ enum Command {
     Simulate(SimulateArgs),
     /// Score the configuration, our most literal reading of Algorithm 1, and every single change
     Ablations(AblationArgs),
-    /// Run a capture with all trackers fused, with none and with each alone, and print the table of docs/COMPARISON.md
+    /// Run methods on captures from one first frame, and write tables and curves of quality, seconds and storage
     Compare(CompareArgs),
 }
 

@@ -110,13 +110,15 @@ impl Deformation {
 pub(crate) struct Deltas {
     pub values: Vec<f32>,
     pub adam: AdamVec,
+    /// Those that moved the Gaussians of the last frame, which its file holds; none before one was trained here.
+    pub applied: Vec<f32>,
 }
 
 impl Deltas {
     /// Values of whole nodes, never trained.
     pub(crate) fn new(values: Vec<f32>) -> Self {
         let adam = AdamVec::new(values.len() / DELTA, DELTA);
-        Self { values, adam }
+        Self { values, adam, applied: Vec::new() }
     }
 
     /// Those of so many nodes that move nothing.
@@ -171,6 +173,7 @@ impl Training for Fit<'_, '_> {
     /// What the last step changes is the start of the next frame, as in the official code: the Gaussians follow before a step, not after.
     fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
         self.deformation.apply(&self.deltas.values, &self.base, self.gaussians);
+        self.deltas.applied.clone_from(&self.deltas.values);
         self.photographs.forward(view, self.gaussians).map(|_| ())
     }
 
@@ -182,7 +185,7 @@ impl Training for Fit<'_, '_> {
 
     /// All values of a delta have the rate of positions.
     fn step(&mut self, rates: &LearningRates) -> Result<()> {
-        let Deltas { values, adam } = &mut *self.deltas;
+        let Deltas { values, adam, .. } = &mut *self.deltas;
         let mut by_deltas = self.deformation.backward(values, &self.base, &self.gradients.gaussians);
         regularise(values, self.regulariser, &mut by_deltas);
         adam.step(values, &by_deltas, (rates.means, EPSILON), Update::Dense);

@@ -11,8 +11,10 @@ mod nearest;
 mod neighbours;
 mod one_layer;
 mod photographs;
+mod queen;
 mod recongs;
 mod saved;
+mod storage;
 mod trackersplat;
 mod two_stages;
 #[cfg(test)]
@@ -20,8 +22,9 @@ mod world;
 
 pub use added::AddedConfig;
 pub use deformation::MotionFitConfig;
-pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig};
+pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig, read_params};
 pub use hicom::{HicomConfig, hicom};
+pub use queen::{Queen, QueenConfig, read_queen_frame};
 pub use recongs::{RecongsConfig, recongs};
 pub use trackersplat::{Trackersplat, TrackersplatConfig, TrainLayer};
 
@@ -35,6 +38,8 @@ pub struct MethodSettings {
     pub dynamic3dgs: Dynamic3dgsConfig,
     /// HiCoM.
     pub hicom: HicomConfig,
+    /// QUEEN.
+    pub queen: QueenConfig,
     /// ReCon-GS.
     pub recongs: RecongsConfig,
     /// TrackerSplat.

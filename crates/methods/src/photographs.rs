@@ -1,7 +1,7 @@
 //! Training of all Gaussians by whole photographs, before a sky that stays.
 
 use anyhow::{Result, ensure};
-use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, PlanarImage, SkyCube, TrainingView};
+use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_method::Step;
 use ffgs_rasterizer::{
     Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
@@ -14,6 +14,8 @@ pub(crate) struct Photographs<'a> {
     sky: &'a SkyCube,
     /// The view at hand.
     pub at: usize,
+    /// Per view, the pixels that count, the others being black in photograph and render; none = all pixels of all views.
+    pub masks: Vec<Mask>,
     behind: PlanarImage,
     comparison: Comparison,
 }
@@ -21,7 +23,8 @@ pub(crate) struct Photographs<'a> {
 impl<'a> Photographs<'a> {
     /// Those of `step`.
     pub(crate) fn new(step: &Step<'a>, sky: &'a SkyCube) -> Self {
-        Self { views: step.now, sky, at: 0, behind: no_image(), comparison: Comparison::new() }
+        let (behind, comparison) = (no_image(), Comparison::new());
+        Self { views: step.now, sky, at: 0, masks: Vec::new(), behind, comparison }
     }
 
     /// Renders a view; its loss.
@@ -32,7 +35,11 @@ impl<'a> Photographs<'a> {
         self.at = view;
         let TrainingView { camera, image, .. } = &self.views[view];
         SkyView::new(camera, self.sky.face_size()).render(self.sky, &mut self.behind);
-        self.comparison.forward(gaussians, camera, Background::Image(&self.behind), image)
+        let background = Background::Image(&self.behind);
+        match self.masks.get(view) {
+            None => self.comparison.forward(gaussians, camera, background, image),
+            Some(mask) => self.comparison.forward_within(mask, gaussians, camera, background, image),
+        }
     }
 
     /// The derivatives of that loss in place of the content of `out`; zero where nothing was drawn.
@@ -76,14 +83,54 @@ impl Comparison {
         background: Background,
         target: &ImageRgb8,
     ) -> Result<f64> {
+        let (mut value, mut loss) = (0.0, std::mem::take(&mut self.loss));
+        self.forward_by(gaussians, camera, background, |image, by| {
+            value = loss.evaluate(image, target, LossRegion::Full, by).total;
+        });
+        self.loss = loss;
+        finite(value)
+    }
+
+    /// The same with what lies outside `mask` black in render and target; means are over all pixels.
+    ///
+    /// # Errors
+    /// As [`forward`](Self::forward).
+    pub(crate) fn forward_within(
+        &mut self,
+        mask: &Mask,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        background: Background,
+        target: &ImageRgb8,
+    ) -> Result<f64> {
+        let inside = target.data().chunks(3).zip(mask.data());
+        let inside = inside.flat_map(|(pixel, inside)| [0, 1, 2].map(|c| pixel[c] * inside)).collect();
+        let target = ImageRgb8::new(target.size(), inside).expect("a value per channel");
+        let cut = |image: &mut PlanarImage| {
+            let planes = image.data_mut().chunks_mut(mask.data().len());
+            planes.for_each(|plane| plane.iter_mut().zip(mask.data()).for_each(|(v, m)| *v *= f32::from(*m)));
+        };
+        let (mut value, mut loss) = (0.0, std::mem::take(&mut self.loss));
+        self.forward_by(gaussians, camera, background, |image, by| {
+            let mut image = image.clone();
+            cut(&mut image);
+            value = loss.evaluate(&image, &target, LossRegion::Full, by).total;
+            cut(by);
+        });
+        self.loss = loss;
+        finite(value)
+    }
+
+    /// Renders; `by_pixels` writes the derivatives of any function of the render by its pixels.
+    pub(crate) fn forward_by(
+        &mut self,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        background: Background,
+        by_pixels: impl FnOnce(&PlanarImage, &mut PlanarImage),
+    ) {
         self.rasterizer.render(gaussians, &View { camera, background, tiles: None }, &mut self.tape);
-        let (image, pixels) = (self.tape.image(), &mut self.by_pixels);
-        let value = self.loss.evaluate(image, target, LossRegion::Full, pixels).total;
-        ensure!(
-            value.is_finite(),
-            "the training diverged: its loss is {value}; lower the rates of the method's table in --config"
-        );
-        Ok(value)
+        by_pixels(self.tape.image(), &mut self.by_pixels);
     }
 
     /// The derivatives of that loss in place of the content of `out`; zero where nothing was drawn.
@@ -100,6 +147,14 @@ impl Comparison {
         self.rasterizer.backward(gaussians, &frame, &mut self.tape, &upstream, out);
         out.fill_untouched();
     }
+}
+
+fn finite(value: f64) -> Result<f64> {
+    ensure!(
+        value.is_finite(),
+        "the training diverged: its loss is {value}; lower the rates of the method's table in --config"
+    );
+    Ok(value)
 }
 
 fn no_image() -> PlanarImage {

@@ -17,10 +17,12 @@ use crate::deformation::{Deformation, Deltas, Fit, MotionFitConfig};
 use crate::one_layer;
 use crate::photographs::{Photographs, frame_seed, view_order};
 use crate::saved::{Reader, Writer};
+use crate::storage;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog};
 use ffgs_method::{Finetuning, MotionMethod, Step};
 use ffgs_trainer::{Epochs, GradientSums, LearningRates, Schedule, camera_extent};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What moves the Gaussians in the first stage.
@@ -42,6 +44,9 @@ pub(crate) trait Nodes: Sized + Send {
     /// # Errors
     /// When a position is not finite.
     fn deformation(&mut self, means: &[[f32; 3]]) -> Result<(Deformation, &mut Deltas)>;
+
+    /// The nodes' deltas.
+    fn deltas(&self) -> &Deltas;
 
     fn save(&self, out: Writer) -> Writer;
 
@@ -113,6 +118,16 @@ impl<N: Nodes> MotionMethod for TwoStages<N> {
         self.added = gaussians.len() - kept;
         one_layer::replace(dynamic, gaussians, &(0..kept).collect::<Vec<_>>());
         Ok(Finetuning::Done)
+    }
+
+    fn store(&self, scene: &Scene, folder: &Path) -> Result<Vec<PathBuf>> {
+        let deltas = self.nodes.as_ref().map_or(&[][..], |nodes| &nodes.deltas().applied);
+        if deltas.is_empty() {
+            return Ok(Vec::new());
+        }
+        let gaussians = &scene.dynamic.gaussians;
+        let kept = gaussians.len() - self.added;
+        Ok(vec![storage::write(folder, deltas.as_chunks().0, gaussians, kept)?])
     }
 
     fn save(&self) -> Vec<u8> {

@@ -14,7 +14,7 @@ use std::sync::Arc;
 const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
 const VIEWS: usize = 6;
 /// Gaussians of the body and of the backdrop.
-const BODY: usize = 150;
+pub(crate) const BODY: usize = 150;
 const BACKDROP: usize = 80;
 /// Radius of the body (m).
 const RADIUS: f32 = 0.4;

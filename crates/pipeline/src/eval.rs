@@ -21,6 +21,22 @@ use ffgs_report::FramePictures;
 /// # Errors
 /// When the run or its capture cannot be read, a result cannot be written, or ffmpeg fails.
 pub fn eval(args: &EvalArgs) -> Result<()> {
+    let (metrics, no_vmaf) = measure(args)?;
+    let reason = no_vmaf.map(|reason| format!("no VMAF: {reason}\n")).unwrap_or_default();
+    terminal::print((table(&metrics.frames) + &costs(&metrics.mean) + &reason).trim_end());
+    Ok(())
+}
+
+/// Whether VMAF can be found here.
+pub fn has_vmaf() -> bool {
+    Vmaf::find().is_ok()
+}
+
+/// The same without a word: the metrics, and why there is no VMAF where there is none.
+///
+/// # Errors
+/// As [`eval`].
+pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let run = FinishedRun::open(&args.run)?;
     let (capture, folder) = (&*run.capture, &run.folder);
     if capture.views(Split::Test).is_empty() {
@@ -50,9 +66,7 @@ pub fn eval(args: &EvalArgs) -> Result<()> {
     bar.finish_and_clear();
     let metrics = Metrics::of(records);
     publish(folder, &run.manifest, &metrics)?;
-    let reason = vmaf.err().map(|reason| format!("no VMAF: {reason}\n")).unwrap_or_default();
-    terminal::print((table(&metrics.frames) + &costs(&metrics.mean) + &reason).trim_end());
-    Ok(())
+    Ok((metrics, vmaf.err().map(|reason| reason.to_string())))
 }
 
 /// One row per frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.

@@ -3,7 +3,7 @@
 use crate::method::{Method, Parts};
 use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
-use ffgs_methods::{Dynamic3dgs, Trackersplat, TrainLayer, hicom, recongs};
+use ffgs_methods::{Dynamic3dgs, Queen, Trackersplat, TrainLayer, hicom, recongs};
 use ffgs_motion::{Standstill, TrackerMotion};
 use ffgs_trainer::{CpuBackend, train_layer};
 use ffgs_trainer_gpu::GpuBackend;
@@ -46,6 +46,14 @@ pub(crate) const DYNAMIC3DGS: Method = Method {
     former: None,
     summary: "the last velocities, then training with rigid neighbours (Dynamic 3D Gaussians, 2024)",
     build: |parts, _| Ok(trained_here(parts, Dynamic3dgs::new(parts.config.method.dynamic3dgs))),
+};
+
+/// QUEEN.
+pub(crate) const QUEEN: Method = Method {
+    usage: "queen",
+    former: None,
+    summary: "gated displacements and integers that decode to residuals, trained and coded (QUEEN, 2024)",
+    build: |parts, _| Ok(trained_here(parts, Queen::new(parts.config.method.queen))),
 };
 
 /// ReCon-GS.

@@ -43,7 +43,7 @@ pub struct FrameRecord {
     pub static_gaussians: usize,
     /// Gaussians of the dynamic layer.
     pub dynamic_gaussians: usize,
-    /// Bytes of the frame's splat files.
+    /// Bytes of the files that reproduce the frame: those of the method's own form, else the splat files.
     pub bytes: u64,
     /// Digest of the images, masks and tracks that the frame was made from and measured on; absent in old runs.
     #[serde(default)]

@@ -32,6 +32,7 @@ pub const METHODS: Registry<Method> = Registry {
         &methods::NONE,
         &methods::DYNAMIC3DGS,
         &methods::HICOM,
+        &methods::QUEEN,
         &methods::RECONGS,
         &methods::TRACKERSPLAT,
     ],

@@ -527,10 +527,9 @@ impl<'a> Job<'a> {
         record.inputs = Some(self.inputs(frame)?);
         record.peak_memory_mib = crate::memory::peak_mib();
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
-        record.bytes = stored.iter().map(size).sum::<u64>()
-            + size(&static_file)
-            + size(&dynamic_file)
-            + size(&folder.join("sky.png"));
+        let splats = [static_file, dynamic_file, folder.join("sky.png")];
+        // What a method stores in its own form reproduces the frame alone.
+        record.bytes = if stored.is_empty() { &splats[..] } else { &stored }.iter().map(size).sum();
         write_json(&self.folder.record(frame), &record)?;
         let saved = method.save();
         if !saved.is_empty() {

@@ -125,11 +125,12 @@ fn other_methods_train_one_layer_and_resume() {
     let out = |name: String| folder.path().join(name);
     let first_frame = out("first".to_owned());
     run(&RunRequest { frames: Some(first(1)), ..request(&first_frame, 0) }).unwrap();
-    for name in ["dynamic3dgs", "hicom", "recongs", "trackersplat"] {
+    for name in ["dynamic3dgs", "hicom", "queen", "recongs", "trackersplat"] {
         let request = |part: &str, end: usize, resume: bool| {
             let mut request = request(&out(format!("{name} {part}")), 0);
             let method = &mut request.config.method;
             (method.dynamic3dgs.iterations, method.trackersplat.iterations) = (2, 2);
+            method.queen.epochs = 1;
             for (motion, added) in [
                 (&mut method.hicom.motion, &mut method.hicom.added),
                 (&mut method.recongs.motion, &mut method.recongs.added),

@@ -2,6 +2,7 @@
 //! timing table, motion and uncertainty, what was skipped, the configuration. No network, no other files.
 
 mod colour;
+mod document;
 mod error;
 mod input;
 mod motion_plots;
@@ -11,6 +12,7 @@ mod picture;
 mod plot;
 mod timing;
 
+pub use document::{Curve, curves, document};
 pub use error::ReportError;
 pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};

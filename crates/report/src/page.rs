@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::Path;
 
 const TEMPLATE: &str = include_str!("../templates/report.html");
-const STYLE: &str = include_str!("../templates/style.css");
+pub(crate) const STYLE: &str = include_str!("../templates/style.css");
 /// The pictures of a frame are bounded in sum when they are encoded, far below.
 const MAX_PICTURES_BYTES: u64 = 1 << 28;
 const SCRIPT: &str = include_str!("../templates/script.js");

@@ -6,6 +6,7 @@
 
 mod changed_rows;
 mod delta;
+pub mod entropy;
 mod error;
 mod frame_file;
 mod layers;

@@ -8,7 +8,7 @@ const MAX_BITS: usize = 31;
 /// Models of a signed integer that is usually near 0: whether it is 0, its sign, the number of its bits in unary, the highest
 /// of the bits that follow, and the others as they are. All but the sign depend on whether the last number had no bit, one, or more.
 #[derive(Clone, Debug)]
-pub(crate) struct Number {
+pub struct Number {
     last: usize,
     zero: [Bit; 3],
     sign: Bit,
@@ -30,7 +30,7 @@ impl Default for Number {
 
 impl Number {
     /// Codes a number; -2^31 cannot be coded.
-    pub(crate) fn code(&mut self, coder: &mut impl Coder, value: i32) -> i32 {
+    pub fn code(&mut self, coder: &mut impl Coder, value: i32) -> i32 {
         let context = self.last;
         self.last = 0;
         if !coder.bit(&mut self.zero[context], value != 0) {
@@ -84,13 +84,14 @@ impl Symbol {
 
 /// Models of a flag that depends on the one before it.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Flag {
+pub struct Flag {
     last: usize,
     bits: [Bit; 2],
 }
 
 impl Flag {
-    pub(crate) fn code(&mut self, coder: &mut impl Coder, flag: bool) -> bool {
+    /// Codes a flag.
+    pub fn code(&mut self, coder: &mut impl Coder, flag: bool) -> bool {
         let out = coder.bit(&mut self.bits[self.last], flag);
         self.last = usize::from(out);
         out

@@ -10,7 +10,7 @@ const MARGIN: u16 = 32;
 
 /// How probable a 0 is, of 65 536, twice: learnt quickly and slowly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Bit([u16; 2]);
+pub struct Bit([u16; 2]);
 
 impl Default for Bit {
     fn default() -> Self {
@@ -36,7 +36,7 @@ impl Bit {
 }
 
 /// Codes bits in one of the two directions, so that a format is written down once for both.
-pub(crate) trait Coder {
+pub trait Coder {
     /// Codes a bit: an encoder writes `bit`, a decoder ignores it; both return what was coded.
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
 
@@ -46,7 +46,7 @@ pub(crate) trait Coder {
 
 /// Writes bits.
 #[derive(Debug)]
-pub(crate) struct Encoder {
+pub struct Encoder {
     low: u64,
     range: u32,
     /// The last byte that may still change, and how many bytes of 255 follow it; none before the first.
@@ -54,8 +54,15 @@ pub(crate) struct Encoder {
     out: Vec<u8>,
 }
 
+impl Default for Encoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Encoder {
-    pub(crate) fn new() -> Self {
+    /// Nothing written yet.
+    pub fn new() -> Self {
         Self { low: 0, range: u32::MAX, waiting: None, out: Vec::new() }
     }
 
@@ -85,7 +92,7 @@ impl Encoder {
     }
 
     /// The bytes; a decoder reads zeros behind them.
-    pub(crate) fn finish(mut self) -> Vec<u8> {
+    pub fn finish(mut self) -> Vec<u8> {
         (0..5).for_each(|_| self.shift());
         let used = self.out.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
         self.out.truncate(used);
@@ -117,14 +124,15 @@ impl Coder for Encoder {
 
 /// Reads bits.
 #[derive(Debug)]
-pub(crate) struct Decoder<'a> {
+pub struct Decoder<'a> {
     code: u32,
     range: u32,
     rest: &'a [u8],
 }
 
 impl<'a> Decoder<'a> {
-    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+    /// Reads what an encoder wrote.
+    pub fn new(bytes: &'a [u8]) -> Self {
         let mut out = Self { code: 0, range: u32::MAX, rest: bytes };
         (0..4).for_each(|_| out.next_byte());
         out

@@ -14,6 +14,7 @@
 //! - All moments of Adam start anew in each frame, with bias corrections; there those of the colours go on, and the corrections do.
 //! - It runs on the CPU.
 
+mod params;
 mod segmentation;
 mod terms;
 
@@ -30,8 +31,11 @@ use ffgs_trainer::{Adam, LearningRates, Schedule, Training, Update, camera_exten
 use glam::{DVec3, Quat, Vec3};
 use segmentation::Segmentation;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use terms::Poses;
+
+pub use params::read_params;
 
 /// Colour per unit of SH coefficient 0.
 const SH0: f32 = 0.282_094_8;
@@ -206,6 +210,16 @@ impl MotionMethod for Dynamic3dgs {
         schedule.run(&mut training, &mut view_order(step), |_, _| Ok(()), &mut |_| ())?;
         log.since("training", timer);
         Ok(Finetuning::Done)
+    }
+
+    /// `params.npz` with what a frame changes: 40 bytes per Gaussian, before they are deflated.
+    fn store(&self, scene: &Scene, folder: &Path) -> Result<Vec<PathBuf>> {
+        if !scene.static_layer.is_empty() {
+            return Ok(Vec::new());
+        }
+        let file = folder.join("params.npz");
+        params::write(&file, &scene.dynamic.gaussians, None)?;
+        Ok(vec![file])
     }
 
     fn save(&self) -> Vec<u8> {

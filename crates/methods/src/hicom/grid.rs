@@ -66,6 +66,10 @@ impl Nodes for Grids {
         Ok((Deformation::new(levels, self.deltas.nodes().len()), &mut self.deltas))
     }
 
+    fn deltas(&self) -> &Deltas {
+        &self.deltas
+    }
+
     fn save(&self, out: Writer) -> Writer {
         out.column(&[self.least, self.most].concat()).count(self.sizes[0]).column(&self.deltas.values)
     }

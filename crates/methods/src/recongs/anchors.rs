@@ -84,6 +84,10 @@ impl Nodes for Anchors {
         Ok((Deformation::new(levels, self.deltas.nodes().len()), &mut self.deltas))
     }
 
+    fn deltas(&self) -> &Deltas {
+        &self.deltas
+    }
+
     fn save(&self, out: Writer) -> Writer {
         let levels = self.levels.iter();
         let out = levels.fold(out.count(self.levels.len()), |out, level| out.column(level.as_flattened()));
@@ -103,7 +107,7 @@ impl Nodes for Anchors {
         }
         let steps = u32::try_from(state.count()?).context("a count is too large")?;
         let adam = AdamVec::resumed([first, second], vec![steps; nodes], DELTA);
-        Ok(Self { levels, deltas: Deltas { values, adam } })
+        Ok(Self { levels, deltas: Deltas { values, adam, applied: Vec::new() } })
     }
 }
 

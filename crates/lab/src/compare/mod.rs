@@ -1,0 +1,190 @@
+//! `ffgs-lab compare`: methods on captures, each with its own schedule and at several budgets, as tables and curves.
+
+mod page;
+mod plan;
+mod results;
+mod table;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use ffgs_core::write_atomically;
+use ffgs_pipeline::args::{EvalArgs, LogArgs};
+use ffgs_pipeline::config::Config;
+use ffgs_pipeline::device::Device;
+use ffgs_pipeline::folder::RunFolder;
+use ffgs_pipeline::json::read_json;
+use ffgs_pipeline::manifest::Manifest;
+use ffgs_pipeline::record::Metrics;
+use ffgs_pipeline::request::{FrameRange, RunRequest};
+use ffgs_pipeline::{eval, run, terminal};
+use plan::{Candidate, candidates, folder_name, scaled};
+use results::{Compared, Outcome};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const HELP: &str = "\
+What is compared:
+  --methods all               the paper's method as it is here (trackers) and as printed (literal), no motion (none),
+                              and every method of others
+  --methods initialisations   trackers, none, and each tracker of the capture alone
+  --methods trackers,queen    these
+
+All start from one first frame per capture. Budget 1 is each method's own schedule; --budgets 0.3,1 runs it with 0.3 of its steps
+as well, which gives the curves of quality against seconds. The tables and curves are OUT/compare.md and OUT/compare.html,
+written again after every run; the runs lie in OUT/CAPTURE/METHOD@BUDGET, each with its report. Finished runs are kept, and
+interrupted ones go on, so a comparison grows by calling it again with more captures, methods, budgets or frames.
+
+VMAF needs an ffmpeg that has libvmaf: `cargo xtask setup`, or FFGS_FFMPEG.
+
+Examples:
+  cargo xtask compare
+  cargo xtask compare fixtures/scenes/fairmont-mini --methods all --frames 0..4
+  cargo xtask compare captures/rain captures/night --methods trackers,hicom,queen --budgets 0.1,0.3,1";
+
+/// `ffgs-lab compare`.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = HELP)]
+pub(crate) struct CompareArgs {
+    /// Folders of captures
+    #[arg(default_value = "fixtures/scenes/fairmont-mini")]
+    captures: Vec<PathBuf>,
+    /// all, initialisations, or names of methods
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',', default_value = "initialisations")]
+    methods: Vec<String>,
+    /// Shares of each method's own number of steps
+    #[arg(long, value_name = "N,N", value_delimiter = ',', default_values_t = [1.0])]
+    budgets: Vec<f64>,
+    /// Frames [default: all]
+    #[arg(long, value_name = "0..B")]
+    frames: Option<FrameRange>,
+    /// Where the runs and tables are written; finished runs are kept
+    #[arg(long, value_name = "DIR", default_value = "out/compare")]
+    out: PathBuf,
+    /// Where to compute; auto = a hardware GPU where there is one, else the CPU
+    #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
+    device: Device,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Runs what is missing, prints the tables and writes them with the curves. A method that fails is a row that says why.
+///
+/// # Errors
+/// When a method or budget is none, or the tables cannot be written.
+pub(crate) fn run(args: &CompareArgs) -> Result<()> {
+    let mut all: Vec<Compared> = Vec::new();
+    plan::check(&args.methods, &args.budgets, args.frames)?;
+    for (at, capture) in args.captures.iter().enumerate() {
+        all.push(Compared::new(folder_name(&args.captures, at)));
+        let plan = candidates(capture, &args.methods);
+        for (candidate, budget) in plan.iter().flat_map(|c| args.budgets.iter().map(move |b| (c, *b))) {
+            let compared = all.last_mut().context("a capture was added")?;
+            let name = format!("{}: {} at budget {budget}", compared.capture, candidate.name);
+            terminal::note(format_args!("{name}"));
+            let outcome = args.outcome(capture, compared, candidate, budget);
+            if let Some(reason) = &outcome.stopped {
+                terminal::note(format_args!("{name}: {reason}"));
+            }
+            compared.outcomes.push(outcome);
+            args.write(&all)?;
+        }
+    }
+    terminal::print(table::markdown(&results::tables(&all)).trim_end());
+    terminal::note(format_args!("tables and curves: {}", args.out.join("compare.html").display()));
+    Ok(())
+}
+
+impl CompareArgs {
+    fn outcome(
+        &self,
+        capture: &Path,
+        compared: &mut Compared,
+        candidate: &Candidate,
+        budget: f64,
+    ) -> Outcome {
+        let folder = self.out.join(&compared.capture);
+        let first = folder.join("first");
+        let failed = |reason: String| Outcome::new(candidate, budget, Metrics::default(), Some(reason));
+        if compared.first.is_none() {
+            let only = FrameRange { start: 0, end: Some(1) };
+            let request = RunRequest { frames: Some(only), ..self.request(capture, &first) };
+            match finished(&request).map_or_else(|| started(&request), Ok) {
+                Ok(metrics) => compared.first = Some(metrics),
+                Err(error) => return failed(format!("no first frame: {error:#}")),
+            }
+        }
+        let out = folder.join(candidate.folder(budget));
+        let mut request = RunRequest { first_frame: Some(first), ..self.request(capture, &out) };
+        (request.method, request.config) = (Some(candidate.method.clone()), scaled(candidate.config, budget));
+        let result = finished(&request).map_or_else(|| started(&request), Ok);
+        let (metrics, stopped) = match result.and_then(|metrics| self.measured(&out, metrics)) {
+            Ok(metrics) => (metrics, None),
+            // The last good frames are kept and count.
+            Err(error) => {
+                let kept = read_json(&out.join("metrics.json")).unwrap_or_default();
+                (kept, Some(format!("{error:#}")))
+            }
+        };
+        let end = self.frames.and_then(|frames| frames.end).unwrap_or(usize::MAX);
+        let frames = metrics.frames.into_iter().filter(|frame| frame.frame < end).collect();
+        Outcome::new(candidate, budget, Metrics::of(frames), stopped)
+    }
+
+    /// With the scores of the videos, which a run does not find.
+    fn measured(&self, out: &Path, metrics: Metrics) -> Result<Metrics> {
+        let mean = &metrics.mean;
+        let found = mean.flicker.is_some() && (mean.vmaf.is_some() || !eval::has_vmaf());
+        if found || mean.psnr.is_none() {
+            return Ok(metrics);
+        }
+        let (run, device) = (out.to_owned(), self.device.clone());
+        eval::measure(&EvalArgs { run, no_vmaf: false, device, log: self.log.clone() }).map(|found| found.0)
+    }
+
+    fn write(&self, all: &[Compared]) -> Result<()> {
+        let tables = results::tables(all);
+        for (name, text) in
+            [("compare.md", table::markdown(&tables)), ("compare.html", page::html(&tables, all))]
+        {
+            let file = self.out.join(name);
+            write_atomically(&file, |out| out.write_all(text.as_bytes()))
+                .with_context(|| format!("cannot write {}", file.display()))?;
+        }
+        Ok(())
+    }
+
+    /// A run with the default settings into `out`.
+    fn request(&self, capture: &Path, out: &Path) -> RunRequest {
+        RunRequest {
+            capture: capture.to_owned(),
+            out: out.to_owned(),
+            resume: true,
+            method: None,
+            frames: self.frames,
+            train_views: None,
+            first_frame: None,
+            device: self.device.clone(),
+            quiet: self.log.quiet,
+            config: Config::default(),
+        }
+    }
+}
+
+fn started(request: &RunRequest) -> Result<Metrics> {
+    run::run(request)?;
+    read_json(&request.out.join("metrics.json"))
+}
+
+/// The numbers of a run that has all frames asked for, made by whichever version of the program. A run of all frames is looked at again,
+/// which takes little when there is nothing to do.
+fn finished(request: &RunRequest) -> Option<Metrics> {
+    let end = request.frames?.end?;
+    let manifest: Manifest = read_json(&RunFolder(request.out.clone()).manifest()).ok()?;
+    let same = manifest.config == request.config
+        && request.method.as_ref().is_none_or(|method| *method == manifest.method);
+    let metrics: Metrics = read_json(&request.out.join("metrics.json")).ok()?;
+    let start = request.frames?.start;
+    let whole = (start..end).all(|frame| metrics.frames.iter().any(|record| record.frame == frame));
+    (same && whole).then_some(metrics)
+}
