@@ -6,7 +6,7 @@ use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
-use ffgs_trainer::{BackgroundConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig};
+use ffgs_trainer::{BackgroundConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, StaticMethod};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
 use serde::{Deserialize, Serialize};
@@ -97,12 +97,22 @@ impl Config {
         Ok(())
     }
 
-    /// The defaults with our most literal reading of the paper's motion initialisation (Algorithms 1 and 2), and a static
-    /// layer that keeps its shape.
+    /// The defaults with our most literal reading of the paper's motion initialisation (Algorithms 1 and 2), and training as it is
+    /// printed: the dynamic layer on the masks alone, without a prior; plain steps on the static layer's colours, whose shape stays.
     pub fn literal() -> Self {
         let defaults = Self::default();
-        let disocclusion = DisocclusionConfig { iterations: 0, ..defaults.disocclusion };
-        Self { disocclusion, ..defaults }.with_motion(MotionConfig::literal())
+        Self {
+            disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
+            dynamic: DynamicLaneConfig {
+                loss_dilation: 0,
+                outside_alpha: 0.0,
+                prior_weight: 0.0,
+                ..defaults.dynamic
+            },
+            background: BackgroundConfig { static_method: StaticMethod::Steps, ..defaults.background },
+            ..defaults
+        }
+        .with_motion(MotionConfig::literal())
     }
 
     /// The settings of the motion initialisation.

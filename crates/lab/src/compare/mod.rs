@@ -139,7 +139,7 @@ impl CompareArgs {
             return Ok(metrics);
         }
         let (run, device) = (out.to_owned(), self.device.clone());
-        eval::measure(&EvalArgs { run, no_vmaf: false, device, log: self.log.clone() }).map(|found| found.0)
+        eval::measure(&EvalArgs { run, no_vmaf: false, device, log: self.log }).map(|found| found.0)
     }
 
     fn write(&self, all: &[Compared]) -> Result<()> {

@@ -35,7 +35,7 @@ fn plots(compared: &Compared) -> String {
         });
         let drawn: Vec<Curve> = drawn.filter(|curve| !curve.points.is_empty()).collect();
         if !drawn.is_empty() {
-            out += &format!("<div>{}</div>", curves("s per frame", y, &drawn));
+            out = out + "<div>" + &curves("s per frame", y, &drawn) + "</div>";
         }
     }
     out + "</div>"

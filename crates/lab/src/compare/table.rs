@@ -32,7 +32,7 @@ pub(super) fn markdown(tables: &[Table]) -> String {
         // Writing to a string does not fail.
         let _ = write!(out, "## {}\n\n{}\n\n", table.title, table.note);
         out += &line(&table.head);
-        out += &format!("|{}\n", "---|".repeat(table.head.len()));
+        out += &(String::from("|") + &"---|".repeat(table.head.len()) + "\n");
         table.rows.iter().for_each(|row| out += &line(row));
         out.push('\n');
     }
