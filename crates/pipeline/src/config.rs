@@ -170,8 +170,10 @@ mod tests {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(literal).motion(), literal);
         let ours = Config::literal().with_motion(MotionConfig::default());
-        let fixed = DisocclusionConfig { iterations: 0, ..DisocclusionConfig::default() };
-        assert_eq!(ours, Config { disocclusion: fixed, ..Config::default() });
+        let Config { dynamic, background, disocclusion, .. } = ours;
+        assert_eq!((disocclusion.iterations, dynamic.prior_weight, dynamic.loss_dilation), (0, 0.0, 0));
+        assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));
+        assert_eq!(ours, Config { dynamic, background, disocclusion, ..Config::default() });
     }
 
     #[test]

@@ -28,6 +28,7 @@ What is compared:
                               and every method of others
   --methods initialisations   trackers, none, and each tracker of the capture alone
   --methods trackers,queen    these
+  --methods all,dynamic3dgs@0.1   a method at a budget of its own, for one whose schedule takes too long
 
 All start from one first frame per capture. Budget 1 is each method's own schedule; --budgets 0.3,1 runs it with 0.3 of its steps
 as well, which gives the curves of quality against seconds. The tables and curves are OUT/compare.md and OUT/compare.html,
@@ -78,7 +79,9 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     for (at, capture) in args.captures.iter().enumerate() {
         all.push(Compared::new(folder_name(&args.captures, at)));
         let plan = candidates(capture, &args.methods);
-        for (candidate, budget) in plan.iter().flat_map(|c| args.budgets.iter().map(move |b| (c, *b))) {
+        let budgets =
+            |candidate: &Candidate| candidate.budget.map_or_else(|| args.budgets.clone(), |b| vec![b]);
+        for (candidate, budget) in plan.iter().flat_map(|c| budgets(c).into_iter().map(move |b| (c, b))) {
             let compared = all.last_mut().context("a capture was added")?;
             let name = format!("{}: {} at budget {budget}", compared.capture, candidate.name);
             terminal::note(format_args!("{name}"));

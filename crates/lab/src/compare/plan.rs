@@ -15,15 +15,20 @@ pub(super) struct Candidate {
     pub method: MethodChoice,
     /// At budget 1.
     pub config: Config,
+    /// Its own budget, in place of those of all.
+    pub budget: Option<f64>,
 }
 
 impl Candidate {
-    /// Of a method's name, or of `literal`, the paper's method with our most literal reading of it.
-    fn named(name: &str) -> Result<Self, String> {
+    /// Of a method's name, or of `literal`, the paper's method with our most literal reading of it; with `@BUDGET` behind it, or not.
+    fn named(text: &str) -> Result<Self, String> {
+        let (name, budget) = text.split_once('@').map_or((text, None), |(name, b)| (name, Some(b)));
+        let wrong = |_| format!("'{text}': what stands behind @ is no number");
+        let budget = budget.map(str::parse).transpose().map_err(wrong)?;
         let literal = name == LITERAL;
         let method = if literal { MethodChoice::default() } else { name.parse()? };
         let config = if literal { Config::literal() } else { Config::default() };
-        Ok(Self { name: name.to_owned(), method, config })
+        Ok(Self { name: name.to_owned(), method, config, budget })
     }
 
     /// Name of the run's folder.
@@ -46,8 +51,9 @@ pub(super) fn check(methods: &[String], budgets: &[f64], frames: Option<FrameRan
             anyhow!("--methods: {error}; or all, initialisations, literal (the paper's method as printed)")
         })?;
     }
-    for budget in budgets {
-        ensure!(budget.is_finite() && *budget > 0.0, "--budgets: {budget} is not above 0");
+    let own = methods.iter().filter_map(|name| Candidate::named(name).ok()?.budget);
+    for budget in budgets.iter().copied().chain(own) {
+        ensure!(budget.is_finite() && budget > 0.0, "--budgets: {budget} is not above 0");
     }
     ensure!(frames.is_none_or(|f| f.start == 0), "--frames: all methods start from the first frame, 0");
     Ok(())
@@ -57,9 +63,10 @@ pub(super) fn check(methods: &[String], budgets: &[f64], frames: Option<FrameRan
 pub(super) fn candidates(capture: &Path, names: &[String]) -> Vec<Candidate> {
     let mut out: Vec<Candidate> = Vec::new();
     for name in names.iter().flat_map(|name| meant(capture, name)) {
-        if out.iter().all(|candidate| candidate.name != name) {
-            out.extend(Candidate::named(&name));
-        }
+        let candidate = Candidate::named(&name).ok();
+        out.extend(
+            candidate.filter(|new| out.iter().all(|old| (&old.name, old.budget) != (&new.name, new.budget))),
+        );
     }
     out
 }
@@ -129,6 +136,7 @@ mod tests {
         let all = ["trackers", "literal", "none", "dynamic3dgs", "hicom", "queen", "recongs", "trackersplat"];
         assert_eq!(names(&["all"]), all);
         assert_eq!(names(&["queen", "all"])[..3], ["queen", "trackers", "literal"]);
+        assert_eq!(names(&["queen", "queen@0.1", "queen"]), ["queen", "queen"]);
     }
 
     #[test]
@@ -144,6 +152,8 @@ mod tests {
             "{error}"
         );
         assert!(refused(&["all"], &[0.0], None).unwrap().contains("above 0"));
+        assert!(refused(&["queen@-1"], &[1.0], None).unwrap().contains("above 0"));
+        assert!(refused(&["queen@half"], &[1.0], None).unwrap().contains("no number"));
         assert!(refused(&["all"], &[f64::NAN], None).is_some());
         let late = FrameRange { start: 2, end: None };
         assert!(refused(&["all"], &[1.0], Some(late)).unwrap().contains("first frame"));
