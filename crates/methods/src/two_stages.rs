@@ -57,7 +57,7 @@ pub(crate) trait Nodes: Sized + Send {
 pub(crate) struct TwoStages<N: Nodes> {
     config: N::Config,
     /// None before the first frame that moves.
-    nodes: Option<N>,
+    pub nodes: Option<N>,
     /// Gaussians that the last frame added; they are the last ones.
     pub added: usize,
 }

@@ -15,6 +15,7 @@ use ffgs_pipeline::folder::RunFolder;
 use ffgs_pipeline::json::read_json;
 use ffgs_pipeline::manifest::Manifest;
 use ffgs_pipeline::record::Metrics;
+use ffgs_pipeline::registry::open_capture;
 use ffgs_pipeline::request::{FrameRange, RunRequest};
 use ffgs_pipeline::{eval, run, terminal};
 use plan::{Candidate, candidates, folder_name, scaled};
@@ -179,15 +180,14 @@ fn started(request: &RunRequest) -> Result<Metrics> {
     read_json(&request.out.join("metrics.json"))
 }
 
-/// The numbers of a run that has all frames asked for, made by whichever version of the program. A run of all frames is looked at again,
-/// which takes little when there is nothing to do.
+/// The numbers of a run that has all frames asked for, made by whichever version of the program.
 fn finished(request: &RunRequest) -> Option<Metrics> {
-    let end = request.frames?.end?;
+    let all = || open_capture(&request.capture).ok().map(|capture| capture.frames());
+    let end = request.frames.and_then(|frames| frames.end).or_else(all)?;
     let manifest: Manifest = read_json(&RunFolder(request.out.clone()).manifest()).ok()?;
     let same = manifest.config == request.config
         && request.method.as_ref().is_none_or(|method| *method == manifest.method);
     let metrics: Metrics = read_json(&request.out.join("metrics.json")).ok()?;
-    let start = request.frames?.start;
-    let whole = (start..end).all(|frame| metrics.frames.iter().any(|record| record.frame == frame));
+    let whole = (0..end).all(|frame| metrics.frames.iter().any(|record| record.frame == frame));
     (same && whole).then_some(metrics)
 }

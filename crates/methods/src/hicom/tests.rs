@@ -1,5 +1,7 @@
 use super::*;
+use crate::two_stages::Nodes;
 use crate::world::{World, advance, repeats};
+use ffgs_arrays::NpzFile;
 use ffgs_core::StageLog;
 use glam::Vec3;
 
@@ -61,4 +63,34 @@ fn a_training_that_diverges_says_so() {
     scene.dynamic.gaussians.sh[0] = [f32::MAX; 3];
     let error = advance(&world, &mut method(short()), 1, &mut scene).unwrap_err().to_string();
     assert!(error.contains("diverged") && error.contains("rates"), "{error}");
+}
+
+/// What a receiver does with a file: the last frame's Gaussians, merged, follow the deltas; the added ones come behind them.
+#[test]
+fn a_stored_frame_is_what_is_rendered() {
+    let world = World::moving(Vec3::new(0.01, 0.0, 0.0));
+    let (mut method, mut scene) = (method(short()), world.scene());
+    let folder = std::env::temp_dir().join(format!("ffgs-hicom-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    assert!(method.store(&scene, &folder).unwrap().is_empty(), "nothing was trained yet");
+    advance(&world, &mut method, 1, &mut scene).unwrap();
+    world.with_step(2, |step| {
+        method.predict(step, &mut scene, &mut StageLog::default()).unwrap();
+        let base = scene.dynamic.gaussians.clone();
+        method.finetune(step, &mut scene, &mut StageLog::default()).unwrap();
+        let stored = method.store(&scene, &folder).unwrap();
+        let file = NpzFile::open(&stored[0]).unwrap();
+        let deltas = file.f32("deltas").unwrap();
+        let mut received = base.clone();
+        let (deformation, _) = method.nodes.as_mut().unwrap().deformation(&base.means).unwrap();
+        deformation.apply(&deltas.data, &base, &mut received);
+        let now = &scene.dynamic.gaussians;
+        let (kept, added) = (base.len(), now.len() - base.len());
+        assert_eq!((&received.means[..], &received.quats[..]), (&now.means[..kept], &now.quats[..kept]));
+        assert_eq!(received.sh, now.sh[..received.sh.len()]);
+        assert!(added > 0 && added == method.added);
+        assert_eq!(file.f32("means").unwrap().data, now.means[kept..].as_flattened());
+        assert_eq!(file.f32("opacity_logits").unwrap().data, now.opacity_logits[kept..]);
+    });
+    std::fs::remove_dir_all(&folder).unwrap();
 }
