@@ -1,9 +1,20 @@
 // The page: a time line over a 4D stream, drawn by the PlayCanvas engine.
 
 import * as pc from './playcanvas.mjs';
+import { listen } from './input.js';
+import { LayerView } from './layer.js';
+import { overlayOf } from './overlay.js';
+import { drawSky } from './sky.js';
 import { Stream, valuesOf } from './stream.js';
 
-const SH_C0 = 0.28209479177387814;
+/** Share of its distance that the camera may move before colours are computed again. */
+const RECOLOUR = 0.02;
+/** Radians per second around what moves, while time stands still. */
+const BULLET_TURN = 0.7;
+/** Seconds for which pictures are drawn after a change: splats are sorted beside the drawing. */
+const AWAKE = 1.5;
+/** Milliseconds between two looks for new frames of a run that goes on. */
+const LOOK_EVERY = 3000;
 const $ = (id) => document.getElementById(id);
 const query = new URLSearchParams(location.hash.slice(1));
 
@@ -15,7 +26,7 @@ function say(text, isError = false) {
 
 async function load(name) {
     const answer = await fetch(name, { cache: 'no-store' }).catch(() => null);
-    if (!answer) throw new Error(`${name}: no answer. Is ffgs view still running?`);
+    if (!answer) throw new Error(`${name}: no answer. Is ffgs still running?`);
     if (!answer.ok) throw new Error(`${name}: ${answer.status} ${answer.statusText}`);
     return new Uint8Array(await answer.arrayBuffer());
 }
@@ -25,60 +36,16 @@ async function loadJson(name) {
     return answer?.ok ? answer.json() : null;
 }
 
-/** Half-precision bits of a number. */
-const half = (() => {
-    const f = new Float32Array(1);
-    const i = new Uint32Array(f.buffer);
-    return (v) => {
-        f[0] = v;
-        const x = i[0];
-        const sign = (x >>> 16) & 0x8000;
-        const e = ((x >>> 23) & 255) - 112;
-        if (e >= 31) return sign | 0x7bff;
-        if (e <= 0) return e < -10 ? sign : sign | (((x & 0x7fffff) | 0x800000) >>> (14 - e));
-        return sign | ((e << 10) + ((x & 0x7fffff) >>> 13) + ((x >>> 12) & 1));
-    };
-})();
-
-/** A layer as the engine's splats; made again only when it outgrows its room. */
-class LayerView {
-    constructor(app, name) {
-        this.app = app;
-        this.entity = new pc.Entity(name);
-        app.root.addChild(this.entity);
-        this.room = 0;
-    }
-
-    show(values) {
-        if (values.count > this.room) this.grow(Math.ceil(values.count * 1.25) + 256);
-        const { container } = this;
-        if (!container) return;
-        const [center, color, scale, rotation] = ['dataCenter', 'dataColor', 'dataScale', 'dataRotation'].map((n) => container.getTexture(n));
-        const [p, c, s, r] = [center, color, scale, rotation].map((t) => t.lock());
-        for (let i = 0; i < values.count; i++) {
-            for (let k = 0; k < 3; k++) {
-                const v = values.position[3 * i + k];
-                p[4 * i + k] = v;
-                container.centers[3 * i + k] = v;
-                c[4 * i + k] = half(Math.max(0, 0.5 + SH_C0 * values.colour[3 * i + k]));
-                s[4 * i + k] = half(Math.exp(values.logScale[3 * i + k]));
-                r[4 * i + k] = half(values.quat[4 * i + k + 1]);
-            }
-            c[4 * i + 3] = half(values.opacity[i]);
-            r[4 * i + 3] = half(values.quat[4 * i]);
+/** The stream, as soon as there is one: a run that has just begun has none. */
+async function openStream() {
+    for (;;) {
+        try {
+            return await Stream.open(load);
+        } catch (error) {
+            if (!error.message.includes(': 404')) throw error;
+            say('No frame is finished yet: this page goes on when there is one.');
+            await new Promise((done) => setTimeout(done, LOOK_EVERY));
         }
-        [center, color, scale, rotation].forEach((t) => t.unlock());
-        container.update(values.count, true);
-    }
-
-    grow(room) {
-        const format = pc.GSplatFormat.createDefaultFormat(this.app.graphicsDevice);
-        const container = new pc.GSplatContainer(this.app.graphicsDevice, room, format);
-        container.aabb = new pc.BoundingBox(new pc.Vec3(), new pc.Vec3(1e4, 1e4, 1e4));
-        if (this.entity.gsplat) this.entity.removeComponent('gsplat');
-        this.container?.destroy();
-        this.entity.addComponent('gsplat', { resource: container });
-        Object.assign(this, { container, room });
     }
 }
 
@@ -99,11 +66,18 @@ class Player {
         this.camera = new pc.Entity('camera');
         this.camera.addComponent('camera', { clearColor: new pc.Color(0, 0, 0), nearClip: 0.05, farClip: 10000, fov: 60 });
         app.root.addChild(this.camera);
-        this.layers = { still: new LayerView(app, 'static'), moving: new LayerView(app, 'moving') };
+        this.layers = { still: new LayerView(app, 'static', stream.manifest.static), moving: new LayerView(app, 'moving', stream.manifest.dynamic) };
+        this.overlay = 'none';
+        this.awake = AWAKE;
+        app.autoRender = false;
+        this.bullet = false;
+        this.colouredFrom = null;
         this.target = new pc.Vec3();
         this.mode = 'orbit';
         this.orbit = { yaw: 0.6, pitch: 0.5, distance: 10 };
         app.scene.gsplat.antiAlias = stream.manifest.antialiased;
+        // Nothing is too small to be drawn: the reconstruction is of such splats.
+        Object.assign(app.scene.gsplat, { minPixelSize: 0, minContribution: 0, dataFormat: pc.GSPLATDATA_LARGE });
         app.scene.exposure = 1;
         this.sky = null;
     }
@@ -137,12 +111,39 @@ class Player {
 
     show(state) {
         const { static: still, dynamic: moving } = this.stream.manifest;
-        this.layers.still.show(valuesOf(state.still, still));
+        this.layers.still.show(valuesOf(state.still, still), state.still.harmonics);
         const values = valuesOf(state.moving, moving);
-        this.layers.moving.show(values);
+        this.layers.moving.show(values, state.moving.harmonics);
         this.middle = median(values) ?? this.middle ?? new pc.Vec3();
         if (this.shown < 0 || this.mode === 'follow') this.target.copy(this.middle);
+        this.colouredFrom = null;
         if (state.sky && state.sky !== this.sky) this.showSky(state.sky);
+    }
+
+    /** Something has changed: pictures are drawn for a while. */
+    wake() {
+        this.awake = AWAKE;
+    }
+
+    /** Colours depend on where one looks from: computed for each frame, and again when the camera has moved. */
+    colour() {
+        const eye = this.camera.getPosition();
+        const near = this.colouredFrom && eye.distance(this.colouredFrom) <= RECOLOUR * eye.distance(this.target);
+        const state = this.stream.state;
+        if (near || this.busy || !state?.moving) return;
+        this.colouredFrom = eye.clone();
+        const { legend, paint } = overlayOf(this.overlay, state, this.stream.manifest);
+        $('legend').textContent = legend;
+        this.layers.still.colour(eye, null);
+        this.layers.moving.colour(eye, paint);
+        document.body.dataset.coloured = this.shown;
+    }
+
+    lay(overlay) {
+        this.overlay = overlay;
+        this.wake();
+        $('overlay').value = overlay;
+        this.colouredFrom = null;
     }
 
     showSky(jpeg) {
@@ -150,11 +151,13 @@ class Player {
         document.body.dataset.sky = 'loading';
         createImageBitmap(new Blob([jpeg], { type: 'image/jpeg' })).then((image) => {
             drawSky(this, image);
+            this.wake();
             document.body.dataset.sky = 'ready';
         }, () => {});
     }
 
     update() {
+        this.wake();
         $('time').max = Math.max(0, this.count - 1);
         $('time').value = this.at;
         $('frame').textContent = this.count ? `${this.stream.entries[this.at].frame} (${this.at + 1}/${this.count})` : '-';
@@ -175,7 +178,23 @@ class Player {
                 this.seek(over ? ($('loop').checked ? 0 : this.count - 1) : next);
             }
         }
+        if (this.bullet) this.orbit.yaw += seconds * BULLET_TURN;
+        if (this.playing || this.bullet) this.wake();
         this.moveCamera();
+        this.colour();
+        this.awake -= seconds;
+        this.app.renderNextFrame = this.awake > 0;
+    }
+
+    /** Time stands still while the camera goes around. */
+    freeze(on) {
+        this.bullet = on;
+        $('bullet').setAttribute('aria-pressed', on);
+        if (on) {
+            this.playing = false;
+            if (this.mode !== 'follow') this.choose('orbit');
+        }
+        this.update();
     }
 
     view() {
@@ -259,163 +278,21 @@ function median(values) {
     return new pc.Vec3(axis(0), axis(1), axis(2));
 }
 
-/** A large sphere seen from inside with the equirectangular picture; made once, then its texture is replaced. */
-function drawSky(player, image) {
-    const device = player.app.graphicsDevice;
-    const texture = new pc.Texture(device, { width: image.width, height: image.height, format: pc.PIXELFORMAT_RGBA8, mipmaps: false,
-        addressU: pc.ADDRESS_REPEAT, addressV: pc.ADDRESS_CLAMP_TO_EDGE });
-    texture.setSource(image);
-    if (!player.dome) player.dome = makeDome(player);
-    player.dome.material.setParameter('skyMap', texture);
-    player.dome.texture?.destroy();
-    player.dome.texture = texture;
-}
-
-function makeDome(player) {
-    const { up, forward } = player.stream.manifest;
-    const material = new pc.ShaderMaterial({
-        uniqueName: 'ffgs-sky',
-        attributes: { vertex_position: pc.SEMANTIC_POSITION },
-        vertexGLSL: `
-            attribute vec3 vertex_position;
-            uniform mat4 matrix_view;
-            uniform mat4 matrix_projection;
-            varying vec3 direction;
-            void main(void) {
-                direction = vertex_position;
-                vec4 p = matrix_projection * vec4(mat3(matrix_view) * vertex_position * 100.0, 1.0);
-                gl_Position = p.xyww;
-            }`,
-        fragmentGLSL: `
-            precision highp float;
-            varying vec3 direction;
-            uniform sampler2D skyMap;
-            uniform vec3 skyUp;
-            uniform vec3 skyForward;
-            void main(void) {
-                vec3 d = normalize(direction);
-                float u = atan(dot(d, cross(skyForward, skyUp)), dot(d, skyForward)) / 6.28318530718 + 0.5;
-                float v = acos(clamp(dot(d, skyUp), -1.0, 1.0)) / 3.14159265359;
-                gl_FragColor = vec4(textureLod(skyMap, vec2(u, v), 0.0).rgb, 1.0);
-            }`,
-    });
-    material.setParameter('skyUp', up);
-    material.setParameter('skyForward', forward);
-    material.cull = pc.CULLFACE_NONE;
-    material.depthWrite = false;
-    const entity = new pc.Entity('sky');
-    const mesh = pc.Mesh.fromGeometry(player.app.graphicsDevice, new pc.SphereGeometry({ radius: 1, latitudeBands: 24, longitudeBands: 48 }));
-    const instance = new pc.MeshInstance(mesh, material);
-    instance.cull = false;
-    entity.addComponent('render', { meshInstances: [instance], layers: [pc.LAYERID_WORLD] });
-    player.app.root.addChild(entity);
-    return { entity, material };
-}
-
-function listen(player) {
-    const canvas = $('canvas');
-    const pointers = new Map();
-    canvas.addEventListener('contextmenu', (e) => e.preventDefault());
-    canvas.addEventListener('pointerdown', (e) => {
-        canvas.setPointerCapture(e.pointerId);
-        pointers.set(e.pointerId, e);
-    });
-    const forget = (e) => pointers.delete(e.pointerId);
-    canvas.addEventListener('pointerup', forget);
-    canvas.addEventListener('pointercancel', forget);
-    canvas.addEventListener('pointermove', (e) => {
-        const last = pointers.get(e.pointerId);
-        if (!last) return;
-        const [dx, dy] = [e.clientX - last.clientX, e.clientY - last.clientY];
-        const others = [...pointers.values()].filter((p) => p.pointerId !== e.pointerId);
-        if (player.view()) player.choose('orbit');
-        if (others.length) {
-            const gap = (p) => Math.hypot(p.clientX - others[0].clientX, p.clientY - others[0].clientY);
-            player.orbit.distance *= gap(last) / Math.max(1, gap(e));
-        } else if (player.mode === 'fly') {
-            player.camera.rotate(player.up.x * -dx * 0.2, player.up.y * -dx * 0.2, player.up.z * -dx * 0.2);
-            player.camera.rotateLocal(-dy * 0.2, 0, 0);
-        } else if (last.buttons === 2) {
-            const shift = player.orbit.distance / canvas.clientHeight;
-            player.target.add(player.camera.right.clone().mulScalar(-dx * shift)).add(player.camera.up.clone().mulScalar(dy * shift));
-        } else {
-            player.orbit.yaw -= dx * 0.006;
-            player.orbit.pitch = Math.max(-1.5, Math.min(1.5, player.orbit.pitch + dy * 0.006));
-        }
-        pointers.set(e.pointerId, e);
-    });
-    canvas.addEventListener('wheel', (e) => {
-        e.preventDefault();
-        player.orbit.distance *= Math.exp(e.deltaY * 0.001);
-    }, { passive: false });
-    $('time').addEventListener('input', () => player.seek(Number($('time').value)));
-    $('play').addEventListener('click', () => toggle(player));
-    $('camera').addEventListener('change', () => player.choose($('camera').value));
-    $('compare').addEventListener('change', () => player.update());
-    for (const box of document.querySelectorAll('.layer')) {
-        box.addEventListener('change', () => {
-            const entity = player.layers[box.dataset.layer]?.entity ?? player.dome?.entity;
-            if (entity) entity.enabled = box.checked;
-        });
-    }
-    $('help').addEventListener('click', () => $('helptext').showModal());
-    $('link').addEventListener('click', async () => {
-        location.hash = linkTo(player);
-        await navigator.clipboard?.writeText(location.href).catch(() => {});
-    });
-    dragEdge();
-    keys(player);
-    addEventListener('resize', () => player.update());
-}
-
-function toggle(player) {
-    player.playing = !player.playing;
-    player.clock = 0;
-    if (player.playing && player.at === player.count - 1) player.seek(0);
-    player.update();
-}
-
-function linkTo(player) {
-    const { yaw, pitch, distance } = player.orbit;
-    const numbers = [yaw, pitch, distance, player.target.x, player.target.y, player.target.z];
-    return new URLSearchParams({ frame: player.at, view: player.mode, orbit: numbers.map((v) => v.toFixed(3)).join(',') }).toString();
-}
-
-function dragEdge() {
-    const edge = $('edge');
-    edge.addEventListener('pointerdown', (e) => edge.setPointerCapture(e.pointerId));
-    edge.addEventListener('pointermove', (e) => {
-        if (!e.buttons) return;
-        const box = $('photo').getBoundingClientRect();
-        const share = Math.max(0, Math.min(1, (e.clientX - box.left) / box.width));
-        $('photo').style.setProperty('--edge', `${share * 100}%`);
-    });
-}
-
-function keys(player) {
-    const step = (n) => () => player.seek(player.at + n);
-    const views = player.capture?.views.length ?? 0;
-    const camera = (n) => () => {
-        if (!views) return;
-        const now = player.view() ? Number(player.mode) : n > 0 ? -1 : 0;
-        player.choose(String((now + n + views) % views));
+/**
+ * Draws splats as the reconstruction was trained: the engine measures them in half pixels, but widens them by 0.3 as others do in
+ * whole ones; it cuts large ones off, and linearises the lens also far outside the picture.
+ */
+function drawAsTrained(device) {
+    const [language, vec2] = device.isWebGPU ? [pc.SHADERLANGUAGE_WGSL, 'vec2f'] : [pc.SHADERLANGUAGE_GLSL, 'vec2'];
+    const chunks = pc.ShaderChunks.get(device, language);
+    const edge = `1.3 / abs(${vec2}(center.projMat00, center.projMat11))`;
+    const changes = [[/\+ 0\.3\b/g, '+ 1.2'],
+        [/-J1 \/ vp\.z \* vp\.xy/, `-J1 * clamp(vp.xy / vp.z, -${edge}, ${edge})`]];
+    const change = (text, [from, to]) => {
+        if (!text?.match(from)) throw new Error('this version of the engine is not the one that the page is written for');
+        return text.replace(from, to);
     };
-    const actions = {
-        ' ': () => toggle(player), ',': step(-1), '.': step(1), ArrowLeft: step(-1), ArrowRight: step(1),
-        Home: () => player.seek(0), End: () => player.seek(player.count - 1), '[': camera(-1), ']': camera(1),
-        p: () => $('compare').click(), o: () => player.choose('orbit'), f: () => player.choose('fly'), c: () => player.choose('follow'),
-        '?': () => $('helptext').showModal(),
-    };
-    const fly = { w: [0, 0, -1], s: [0, 0, 1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, -1, 0], e: [0, 1, 0] };
-    addEventListener('keydown', (e) => {
-        if (e.target.matches?.('input, select') || $('helptext').open || e.ctrlKey || e.metaKey) return;
-        if (player.mode === 'fly' && fly[e.key]) {
-            player.camera.translateLocal(...fly[e.key].map((v) => v * player.orbit.distance * 0.03));
-        } else if (actions[e.key]) {
-            e.preventDefault();
-            actions[e.key]();
-        }
-    });
+    chunks.set('gsplatCornerVS', changes.reduce(change, chunks.get('gsplatCornerVS')));
 }
 
 async function makeApp() {
@@ -429,6 +306,7 @@ async function makeApp() {
     options.resourceHandlers = [];
     const app = new pc.AppBase(canvas);
     app.init(options);
+    drawAsTrained(device);
     app.setCanvasFillMode(pc.FILLMODE_NONE);
     app.setCanvasResolution(pc.RESOLUTION_AUTO);
     app.start();
@@ -437,7 +315,7 @@ async function makeApp() {
 
 async function main() {
     say('loading …');
-    const [app, stream, capture] = await Promise.all([makeApp(), Stream.open(load), loadJson('cameras.json')]);
+    const [app, stream, capture] = await Promise.all([makeApp(), openStream(), loadJson('cameras.json')]);
     document.title = stream.manifest.title;
     const player = new Player(app, stream, capture);
     globalThis.player = player;
@@ -453,8 +331,9 @@ async function main() {
         player.orbit.distance = 1.5 * spread(player);
     }
     player.choose(query.get('view') ?? 'orbit');
+    player.lay(query.get('overlay') ?? 'none');
     app.on('update', (seconds) => player.tick(seconds));
-    setInterval(() => grow(player), 3000);
+    setInterval(() => grow(player), LOOK_EVERY);
 }
 
 /** Distance that holds most of what moves. */

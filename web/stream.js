@@ -119,7 +119,7 @@ class Numbers {
 
 const three = () => [new Numbers(), new Numbers(), new Numbers()];
 
-/** The rows of a layer: columns of integers. */
+/** The rows of a layer: columns of integers; after a change also `moved`, the step of each position since the frame before. */
 export class Rows {
     constructor(capacity) {
         this.count = 0;
@@ -375,16 +375,28 @@ function decodeChange(section, steps, before) {
     const births = plausible(claimed, words.rest());
     const coder = new Coder(words.rest());
     const out = new Rows(before.count + births);
+    out.moved = new Int32Array(3 * (before.count + births));
     const [gone, residuals] = [new Flag(), new Residuals()];
     for (let i = 0; i < before.count; i++) {
         if (gone.decode(coder)) continue;
         const j = out.count++;
         predict(before, i, motions[before.group[i]] ?? still, steps, out, j);
         residuals.decode(coder, steps, out, j);
+        for (let k = 0; k < 3; k++) out.moved[3 * j + k] = out.position[3 * j + k] - before.position[3 * i + k];
     }
     const born = new RowModels(steps);
     for (let i = 0; i < births; i++) born.decode(coder, out, out.count++);
     return out;
+}
+
+/** How well each of so many positions is known, in the unit of the world. */
+function decodeUncertainty(section, count) {
+    const [coder, model] = [new Coder(section), new Numbers()];
+    let last = 0;
+    return Float32Array.from({ length: count }, () => {
+        last = (last + model.decode(coder)) | 0;
+        return 2 ** (last / 4);
+    });
 }
 
 const CRC = Uint32Array.from({ length: 256 }, (_, n) => {
@@ -539,6 +551,7 @@ export class Stream {
         if (sections.has('SROW')) decodeRows(sections.get('SROW'), still, next.still);
         if (sections.has('SCOL')) decodeColours(sections.get('SCOL'), still, next.still);
         next.moving = entry.key ? decodeKey(need('DKEY'), moving) : decodeChange(need('DMOV'), moving, next.moving);
+        next.uncertainty = sections.has('DUNC') ? decodeUncertainty(sections.get('DUNC'), next.moving.count) : null;
         if (sections.has('SKYE')) next.sky = sections.get('SKYE').slice();
         next.at = at;
         return next;

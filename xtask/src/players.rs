@@ -1,4 +1,4 @@
-//! Other people's programs from npm: a reader of splat files that judges ours, and the engine of our page.
+//! Other people's programs from npm: a reader of splat files that judges ours, the engine of our page, and what drives a browser.
 
 use crate::workspace;
 use anyhow::{Context, Result, bail, ensure};
@@ -10,9 +10,11 @@ use std::process::Command;
 const LEAST_NODE: u32 = 20;
 /// Which packages, in which versions.
 const PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
+/// The engine of our page, below the folder that [`install`] returns.
+pub(crate) const ENGINE: &str = "node_modules/playcanvas/build/playcanvas.min.mjs";
 const READER: &str = "node_modules/@playcanvas/splat-transform/bin/cli.mjs";
 
-/// Installs splat-transform and the PlayCanvas engine below the target folder, once per version; returns where.
+/// Installs splat-transform, the PlayCanvas engine and playwright-core below the target folder, once per version; returns where.
 pub(crate) fn install(root: &Path) -> Result<PathBuf> {
     let (source, home) = (root.join("xtask/players"), workspace::target(root).join("players"));
     let stamp = home.join("installed.json");

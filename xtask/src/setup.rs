@@ -1,7 +1,7 @@
 //! Debian packages the project needs, installed only where they are missing.
 
 use anyhow::{Context, Result, bail, ensure};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// Something that must be there, and the Debian package that brings it.
@@ -42,12 +42,24 @@ pub(crate) fn run_for_tests() -> Result<()> {
     install(&packages)
 }
 
+/// Chromium's program; installed where it is missing and can be.
+pub(crate) fn chromium() -> Result<PathBuf> {
+    const PROGRAM: &str = "chromium";
+    if place_of(PROGRAM).is_none() {
+        install(&[PROGRAM])?;
+    }
+    place_of(PROGRAM).context("chromium is installed, but not on the PATH")
+}
+
+/// Where a program of the PATH is.
+fn place_of(program: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).map(|folder| folder.join(program)).find(|file| file.is_file())
+}
+
 fn is_present(probe: &Probe) -> bool {
     match probe {
-        Probe::Program(program) => {
-            let path = std::env::var_os("PATH").unwrap_or_default();
-            std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
-        }
+        Probe::Program(program) => place_of(program).is_some(),
         Probe::FileIn(folder, ending) => std::fs::read_dir(folder)
             .is_ok_and(|files| files.flatten().any(|f| f.path().extension().is_some_and(|e| e == *ending))),
     }

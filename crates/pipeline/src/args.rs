@@ -134,6 +134,9 @@ pub struct RunArgs {
     /// Seed of every random choice; equal seeds give equal bytes
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Show the run in the browser while it goes on: prints the address of the page, and serves it until it is stopped
+    #[arg(long)]
+    pub view: bool,
     /// Take the first frame from this finished run instead of training it
     #[arg(long, value_name = "RUN")]
     pub first_frame: Option<PathBuf>,

@@ -80,8 +80,14 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Run(args) => {
             args.log.start();
             crate::interrupt::explain_signals();
-            let report = crate::run::run(&args.request()?)?;
+            let request = args.request()?;
+            let page = args.view.then(|| crate::view::beside(&request)).transpose()?;
+            let report = crate::run::run(&request)?;
             terminal::print(report.display());
+            if let Some(page) = page {
+                tracing::info!("the page is served until this is stopped (Ctrl-C)");
+                page.wait();
+            }
         }
         Command::Render(args) => {
             args.log.start();

@@ -29,6 +29,7 @@ mod memory;
 pub mod method;
 mod methods;
 mod page;
+mod points_stream;
 pub mod prepare;
 mod provenance;
 pub mod publish;

@@ -1,13 +1,18 @@
-//! `ffgs view`: a run or a stream in the browser.
+//! `ffgs view`: a run, a stream or a capture in the browser.
 
 use crate::args::LogArgs;
 use crate::cameras::Views;
 use crate::export::stream::{StreamExport, StreamOptions};
 use crate::finished_run::FinishedRun;
 use crate::folder::RunFolder;
+use crate::json::read_json;
+use crate::manifest::Manifest;
 use crate::page::{ENGINE, FILES, engine};
+use crate::points_stream::write_points;
+use crate::registry::open_capture;
+use crate::request::RunRequest;
 use crate::terminal;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_viewer::{Site, Source, Viewer};
@@ -18,12 +23,13 @@ use std::time::Duration;
 #[derive(Clone, Debug, Args)]
 #[command(
     long_about = "Shows a run, finished or still going on, or a 4D stream in the browser: time line, orbit, fly, \
-        follow, the cameras of the capture with their photographs. A run is first written as a stream into RUN/export/stream. \
+        follow, the cameras of the capture with their photographs. A run is written as a stream into RUN/export/stream; of a \
+        capture its initial points are shown. \
         The server answers on this machine only, at the address that it prints, until it is stopped (Ctrl-C).",
-    after_help = "Examples:\n  ffgs view out/mini\n  ffgs view out/mini/export/stream --port 8080"
+    after_help = "Examples:\n  ffgs view out/mini\n  ffgs view out/mini/export/stream --port 8080\n  ffgs view path/to/capture"
 )]
 pub struct ViewArgs {
-    /// Output folder of a run, or folder of a stream
+    /// Output folder of a run, folder of a stream or of a capture
     pub folder: PathBuf,
     /// Port on this machine; 0 = any that is free
     #[arg(long, default_value_t = 0)]
@@ -39,52 +45,89 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// Serves until the process is stopped.
 ///
 /// # Errors
-/// When the folder is neither a run nor a stream, or the port is taken.
+/// When the folder is neither a run nor a stream nor a capture, or the port is taken.
 pub fn view(args: &ViewArgs) -> Result<()> {
-    let engine = engine()?;
-    let is_run = args.folder.join("run.json").exists();
-    let stream = if is_run {
-        RunFolder(args.folder.clone()).inside(&["export", "stream"])?
+    let folder = &args.folder;
+    let run = RunFolder(folder.clone());
+    if run.manifest().exists() {
+        let manifest: Manifest = read_json(&run.manifest())?;
+        let stream = run.inside(&["export", "stream"])?;
+        let viewer = serve(Some(open_capture(&manifest.capture_path)?), &stream, args.port)?;
+        follow(folder, &stream);
+        viewer.wait();
+    } else if folder.join("manifest.json").exists() {
+        serve(None, folder, args.port)?.wait();
     } else {
-        args.folder.clone()
-    };
-    if !is_run && !stream.join("manifest.json").exists() {
-        bail!(
-            "{} is neither a run (run.json) nor a stream (manifest.json); reconstruct a capture with ffgs run first",
-            args.folder.display()
-        );
+        let capture = open_capture(folder).with_context(|| {
+            format!("{} is neither a run (run.json) nor a stream (manifest.json)", folder.display())
+        })?;
+        let stream = tempfile::tempdir()?;
+        write_points(&*capture, stream.path())?;
+        serve(Some(capture), stream.path(), args.port)?.wait();
     }
+    Ok(())
+}
+
+/// Serves a run that is about to begin, beside it.
+///
+/// # Errors
+/// When the capture cannot be opened, or the page's engine is not there.
+pub(crate) fn beside(request: &RunRequest) -> Result<Viewer> {
+    let stream = request.out.join("export").join("stream");
+    let viewer = serve(Some(open_capture(&request.capture)?), &stream, 0)?;
+    let folder = request.out.clone();
+    std::thread::spawn(move || follow(&folder, &stream));
+    Ok(viewer)
+}
+
+/// The page with the stream in a folder, the cameras of a capture and their photographs.
+fn serve(capture: Option<Box<dyn Capture>>, stream: &Path, port: u16) -> Result<Viewer> {
+    let engine = engine()?;
     let mut site = FILES.iter().fold(Site::default(), |site, (name, bytes)| {
         site.with(name, Source::Bytes(bytes.as_bytes().to_vec()))
     });
     site = site
         .with(ENGINE, Source::Bytes(std::fs::read(&engine).with_context(|| engine.display().to_string())?));
-    if is_run {
-        let run = FinishedRun::open(&args.folder)?;
-        std::fs::create_dir_all(&stream)?;
-        let views = Views::of(&*run.capture, true)?;
+    if let Some(capture) = capture {
+        let views = Views::of(&*capture, true)?;
         site = site.with("cameras.json", Source::Bytes(serde_json::to_vec(&views)?));
-        site = site.with("photo", Source::Lookup(Box::new(move |name| photograph(&*run.capture, name))));
+        site = site.with("photo", Source::Lookup(Box::new(move |name| photograph(&*capture, name))));
     }
-    let viewer = Viewer::start(site.with("", Source::Folder(stream.clone())), args.port)?;
+    let viewer = Viewer::start(site.with("", Source::Folder(stream.to_owned())), port)?;
     terminal::print(viewer.url());
-    if is_run {
-        return follow(&args.folder, &stream);
-    }
-    viewer.wait();
-    Ok(())
+    Ok(viewer)
 }
 
 /// Appends the frames of a run to its stream as they are finished, until the process ends.
-fn follow(folder: &Path, stream: &Path) -> Result<()> {
-    let mut export = StreamExport::open(&FinishedRun::open(folder)?, stream, &StreamOptions::default())?;
+fn follow(folder: &Path, stream: &Path) {
+    let options = StreamOptions { uncertainty: true, ..StreamOptions::default() };
+    let (mut export, mut said) = (None, String::new());
     loop {
-        // A frame that cannot be read yet may be readable the next time.
-        if let Err(error) = FinishedRun::open(folder).and_then(|run| export.catch_up(&run, true)) {
-            tracing::warn!("{error:#}");
+        // A run without a finished frame, or with one that cannot be read yet, is looked at again.
+        if let Err(error) = catch_up(&mut export, folder, stream, &options) {
+            let text = format!("{error:#}");
+            if text != said {
+                tracing::debug!("{text}");
+            }
+            said = text;
         }
         std::thread::sleep(LOOK_EVERY);
     }
+}
+
+fn catch_up(
+    export: &mut Option<StreamExport>,
+    folder: &Path,
+    stream: &Path,
+    options: &StreamOptions,
+) -> Result<()> {
+    let run = FinishedRun::open(folder)?;
+    if export.is_none() {
+        RunFolder(folder.to_owned()).inside(&["export", "stream"])?;
+        std::fs::create_dir_all(stream)?;
+        *export = Some(StreamExport::open(&run, stream, options)?);
+    }
+    export.as_mut().map_or(Ok(()), |export| export.catch_up(&run, true))
 }
 
 /// The file of `SPLIT/VIEW/FRAME.png`.

@@ -45,6 +45,9 @@ pub struct ExportArgs {
     /// How fine a stream is: 2 halves every step
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
     pub precision: f64,
+    /// Have a stream say how well each position is known, for the overlay of the page
+    #[arg(long)]
+    pub uncertainty: bool,
     /// At which a stream plays
     #[arg(long, value_name = "FPS", default_value_t = 30.0, value_parser = factor)]
     pub frames_per_second: f64,

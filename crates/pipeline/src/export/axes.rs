@@ -3,7 +3,7 @@
 use crate::finished_run::FinishedRun;
 use crate::request::FrameRange;
 use anyhow::{Result, ensure};
-use ffgs_method::{Split, ViewAt};
+use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DVec3, Vec3};
 
 /// The finished frames in a range.
@@ -26,10 +26,10 @@ pub(crate) struct Axes {
 
 impl Axes {
     /// Of the training cameras of a frame.
-    pub(crate) fn of(run: &FinishedRun, frame: usize) -> Result<Self> {
-        let views = run.capture.views(Split::Train).len();
+    pub(crate) fn of(capture: &dyn Capture, frame: usize) -> Result<Self> {
+        let views = capture.views(Split::Train).len();
         let cameras = (0..views)
-            .map(|view| run.capture.camera(ViewAt { split: Split::Train, view, frame }))
+            .map(|view| capture.camera(ViewAt { split: Split::Train, view, frame }))
             .collect::<Result<Vec<_>, _>>()?;
         let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
         let ahead = cameras.first().map_or(DVec3::X, |c| c.rotation().row(2));

@@ -35,7 +35,7 @@ struct Description {
 pub(super) fn export_files(args: &ExportArgs, format: &'static dyn SplatWriter, out: PathBuf) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frames = chosen(&run, args.frames)?;
-    let axes = Axes::of(&run, frames[0])?;
+    let axes = Axes::of(&*run.capture, frames[0])?;
     let description = Description {
         format: format.name().to_owned(),
         capture: run.manifest.capture.clone(),

@@ -1,7 +1,7 @@
 //! `ffgs export`: a finished run as files for players.
 
 mod args;
-mod axes;
+pub(crate) mod axes;
 mod files;
 pub(crate) mod stream;
 

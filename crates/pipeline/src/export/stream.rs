@@ -13,6 +13,7 @@ use anyhow::{Result, bail};
 use ffgs_core::Scene;
 use ffgs_splats::{Panorama, encode_sky_equirectangular};
 use ffgs_stream::{Entry, Frame, Manifest, Precision, Reader, Steps, Writer};
+use glam::DMat3;
 use std::path::Path;
 
 /// Frames from one key frame to the next: random access reads at most so many files.
@@ -20,7 +21,7 @@ const KEY_EVERY: u64 = 30;
 /// The mean difference of its texels (0..=1) from which a sky is sent again.
 const SKY_CHANGE: f32 = 2.0 / 255.0;
 /// Chosen so that no column alone costs more than about 0.05 dB on opaque pixels of the sample; docs/STREAM.md has the table.
-const PRECISION: Precision = Precision {
+pub(crate) const PRECISION: Precision = Precision {
     position: 9.0,
     scales_per_octave: 4,
     rotation: 36,
@@ -38,11 +39,13 @@ pub(crate) struct StreamOptions {
     pub frames_per_second: f64,
     /// Frames of the run.
     pub frames: Option<FrameRange>,
+    /// Whether it says how well each position is known.
+    pub uncertainty: bool,
 }
 
 impl Default for StreamOptions {
     fn default() -> Self {
-        Self { precision: 1.0, frames_per_second: 30.0, frames: None }
+        Self { precision: 1.0, frames_per_second: 30.0, frames: None, uncertainty: false }
     }
 }
 
@@ -52,6 +55,7 @@ pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> R
         precision: args.precision,
         frames_per_second: args.frames_per_second,
         frames: args.frames,
+        uncertainty: args.uncertainty,
     };
     let run = FinishedRun::open(&args.run)?;
     StreamExport::open(&run, out, &options)?.catch_up(&run, args.log.quiet)?;
@@ -63,7 +67,7 @@ pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> R
     terminal::print(bytes_table(reader.entries()).trim_end());
     if args.measure {
         let frames = chosen(&run, args.frames)?;
-        let measured = measure_all(&run, &mut reader, &frames, Axes::of(&run, frames[0])?)?;
+        let measured = measure_all(&run, &mut reader, &frames, Axes::of(&*run.capture, frames[0])?)?;
         terminal::print(table(&measured).trim_end());
         write_json(&out.join("measure.json"), &measured)?;
     }
@@ -78,6 +82,7 @@ pub(crate) struct StreamExport {
     sky: Vec<f32>,
     axes: Axes,
     frames: Option<FrameRange>,
+    uncertainty: bool,
     /// The last frame looked at.
     seen: Option<usize>,
 }
@@ -86,9 +91,16 @@ impl StreamExport {
     /// Begins a stream, or goes on with the one that the same export began.
     pub(crate) fn open(run: &FinishedRun, out: &Path, options: &StreamOptions) -> Result<Self> {
         let first = chosen(run, options.frames)?[0];
-        let axes = Axes::of(run, first)?;
+        let axes = Axes::of(&*run.capture, first)?;
         let writer = open(out, run, first, axes, options)?;
-        Ok(Self { writer, sky: Vec::new(), axes, frames: options.frames, seen: None })
+        Ok(Self {
+            writer,
+            sky: Vec::new(),
+            axes,
+            frames: options.frames,
+            uncertainty: options.uncertainty,
+            seen: None,
+        })
     }
 
     /// Writes the frames that the stream does not have yet.
@@ -110,12 +122,13 @@ impl StreamExport {
     fn push(&mut self, frame: usize, scene: &Scene) -> Result<()> {
         let texels = scene.sky.texels.as_flattened();
         let Axes { up, forward } = self.axes;
+        let deviations: Vec<f32> = scene.dynamic.covariances.iter().map(deviation).collect();
         let entry = self.writer.push(&Frame {
             frame: frame as u64,
             static_layer: &scene.static_layer,
             dynamic_layer: &scene.dynamic.gaussians,
             ids: &scene.dynamic.ids,
-            uncertainty: None,
+            uncertainty: self.uncertainty.then_some(&deviations[..]),
             sky: &encode_sky_equirectangular(scene.sky.face_size(), texels, up, forward)?,
             sky_has_changed: difference(texels, &self.sky) > SKY_CHANGE,
         })?;
@@ -124,6 +137,12 @@ impl StreamExport {
         }
         Ok(())
     }
+}
+
+/// Standard deviation of a position: the root of the mean of its three variances.
+fn deviation(covariance: &DMat3) -> f32 {
+    let variances = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
+    (variances / 3.0).max(0.0).sqrt() as f32
 }
 
 /// A new stream, or the one that the same export began.

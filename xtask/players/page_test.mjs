@@ -1,0 +1,202 @@
+// Drives our page in headless Chromium: node page_test.mjs CHROMIUM FFGS RUN CAPTURE CAMERA PICTURE [SCREENSHOTS]
+// RUN has at least two frames; PICTURE is the camera CAMERA of its frame 1, as `ffgs render` drew it.
+import { spawn } from 'node:child_process';
+import { readFile } from 'node:fs/promises';
+import { createRequire } from 'node:module';
+import { join } from 'node:path';
+import { cwd } from 'node:process';
+
+const { chromium } = createRequire(join(cwd(), 'package.json'))('playwright-core');
+const [executablePath, program, run, capture, camera, picture, shots] = process.argv.slice(2);
+/** Least agreement (dB) of the page with our own renderer. */
+const LEAST_PSNR = 30;
+const served = [];
+
+function check(condition, text) {
+    if (!condition) throw new Error(text);
+}
+
+/** Starts `ffgs view`; its address. */
+function serve(folder) {
+    const server = spawn(program, ['view', folder], { stdio: ['ignore', 'pipe', 'inherit'] });
+    served.push(server);
+    return new Promise((resolve, reject) => {
+        server.stdout.once('data', (text) => resolve(String(text).trim()));
+        server.once('exit', (code) => reject(new Error(`ffgs view ${folder} ended with ${code}`)));
+    });
+}
+
+const state = (page, name) => page.evaluate((key) => document.body.dataset[key], name);
+const ready = (page) => page.waitForFunction(() => document.body.dataset.state === 'ready' && Number(document.body.dataset.coloured) === globalThis.player.at);
+/** Clicks without waiting for pictures, of which software draws few. */
+const press = (page, id) => page.evaluate((name) => document.getElementById(name).click(), id);
+const shot = (page, name) => shots && page.screenshot({ path: join(shots, `${name}.png`) });
+
+async function open(browser, url, size = { width: 640, height: 360 }) {
+    const page = await browser.newPage({ viewport: size });
+    page.setDefaultTimeout(60000);
+    page.on('pageerror', (error) => {
+        page.failure = error;
+    });
+    await page.goto(url, { waitUntil: 'commit' });
+    return page;
+}
+
+const tests = {
+    async 'seeks, steps and plays'(browser, url) {
+        const page = await open(browser, url);
+        await ready(page);
+        await page.keyboard.press('End');
+        await page.waitForFunction(() => Number(document.body.dataset.frame) === globalThis.player.count - 1);
+        await press(page, 'back');
+        await page.waitForFunction(() => Number(document.body.dataset.frame) === globalThis.player.count - 2);
+        await page.fill('#time', '0');
+        await page.waitForFunction(() => document.body.dataset.frame === '0');
+        await page.keyboard.press(' ');
+        await page.waitForFunction(() => document.body.dataset.frame !== '0');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'follows what moves, and time stands still in bullet time'(browser, url) {
+        const page = await open(browser, url);
+        await ready(page);
+        await page.keyboard.press('c');
+        const targets = [];
+        for (const at of [0, 1]) {
+            await page.evaluate((to) => globalThis.player.seek(to), at);
+            await ready(page);
+            targets.push(await page.evaluate(() => [...globalThis.player.target.toArray(), globalThis.player.middle.distance(globalThis.player.target)]));
+        }
+        check(targets.every((t) => t[3] === 0) && String(targets[0]) !== String(targets[1]), `followed to ${targets}`);
+        await page.keyboard.press('b');
+        const yaw = await page.evaluate(() => globalThis.player.orbit.yaw);
+        await page.waitForFunction((from) => globalThis.player.orbit.yaw > from, yaw);
+        check((await state(page, 'frame')) === '1', 'time went on');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'compares with the photograph and shows overlays'(browser, url) {
+        const page = await open(browser, url);
+        await ready(page);
+        await page.keyboard.press(']');
+        await press(page, 'compare');
+        await page.waitForFunction(() => !document.getElementById('photo').hidden && document.getElementById('photograph').naturalWidth > 0);
+        await page.keyboard.press('.');
+        for (const [overlay, legend] of [['uncertainty', 'standard deviation'], ['motion', 'per second']]) {
+            await page.selectOption('#overlay', overlay);
+            await page.waitForFunction((text) => document.getElementById('legend').textContent.includes(text), legend);
+            await shot(page, overlay);
+        }
+        if (page.failure) throw page.failure;
+    },
+
+    async 'draws what our renderer draws'(browser, url) {
+        const reference = (await readFile(picture)).toString('base64');
+        const size = { width: (await readFile(picture)).readUInt32BE(16), height: (await readFile(picture)).readUInt32BE(20) };
+        const page = await open(browser, `${url}#frame=1`, size);
+        await ready(page);
+        await page.addStyleTag({ content: '#bar, #legend { display: none !important }' });
+        await page.evaluate((name) => globalThis.player.choose(String(globalThis.player.capture.views.findIndex((v) => v.name === name))), camera);
+        await page.waitForFunction(() => document.body.dataset.sky === 'ready');
+        // Splats are sorted by a worker, some pictures later.
+        await page.waitForTimeout(1500);
+        const own = (await page.screenshot()).toString('base64');
+        const psnr = await page.evaluate(async (pictures) => {
+            const pixels = async (text) => {
+                const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+                const image = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
+                const context = new OffscreenCanvas(image.width, image.height).getContext('2d');
+                context.drawImage(image, 0, 0);
+                return context.getImageData(0, 0, image.width, image.height).data;
+            };
+            const [a, b] = await Promise.all(pictures.map(pixels));
+            let sum = 0;
+            for (let i = 0; i < a.length; i++) sum += (a[i] - b[i]) ** 2;
+            return 10 * Math.log10(255 ** 2 / (sum / (a.length * 0.75)));
+        }, [reference, own]);
+        console.log(`page against renderer: ${psnr.toFixed(2)} dB`);
+        check(psnr >= LEAST_PSNR, `the page differs from our renderer: ${psnr.toFixed(2)} dB`);
+        if (page.failure) throw page.failure;
+    },
+
+    async 'names a damaged file, and plays the others'(browser, url) {
+        const page = await open(browser, 'about:blank');
+        await page.route('**/000001.4df', async (route) => {
+            const body = await (await route.fetch()).body();
+            body[body.length >> 1] ^= 1;
+            await route.fulfill({ body });
+        });
+        await page.goto(url);
+        await ready(page);
+        await page.keyboard.press('.');
+        await page.waitForFunction(() => document.getElementById('message').textContent.includes('000001.4df is damaged'));
+        await page.keyboard.press('Home');
+        await page.waitForFunction(() => document.body.dataset.state === 'ready');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'waits for a run that has just begun'(browser, url) {
+        const page = await open(browser, 'about:blank');
+        let begun = false;
+        await page.route('**/manifest.json', (route) => (begun ? route.continue() : route.fulfill({ status: 404 })));
+        await page.goto(url);
+        await page.waitForFunction(() => document.getElementById('message').textContent.includes('No frame is finished yet'));
+        begun = true;
+        await ready(page);
+        if (page.failure) throw page.failure;
+    },
+
+    async 'needs nothing from elsewhere'(browser, url) {
+        const page = await open(browser, 'about:blank');
+        const foreign = [];
+        page.on('request', (request) => /^(http|ws)/.test(request.url()) && !request.url().startsWith(url) && foreign.push(request.url()));
+        await page.goto(url);
+        await ready(page);
+        await shot(page, 'desktop');
+        check(foreign.length === 0, `asked for ${foreign}`);
+        await page.setViewportSize({ width: 390, height: 844 });
+        const widths = await page.evaluate(() => [document.getElementById('bar').scrollWidth, innerWidth]);
+        check(widths[0] <= widths[1], `the bar is ${widths[0]} px wide on a phone`);
+        await page.waitForTimeout(500);
+        await shot(page, 'phone');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'records a video'(browser, url) {
+        const page = await open(browser, url);
+        await ready(page);
+        await page.keyboard.press('r');
+        await page.waitForTimeout(1200);
+        const [download] = await Promise.all([page.waitForEvent('download'), page.keyboard.press('r')]);
+        const bytes = await readFile(await download.path());
+        check(bytes.readUInt32BE(0) === 0x1a45dfa3, 'the video is no WebM file');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'shows a capture without a run'(browser) {
+        const page = await open(browser, await serve(capture));
+        await ready(page);
+        check(await page.evaluate(() => globalThis.player.stream.state.still.count > 0), 'no points');
+        await shot(page, 'capture');
+        if (page.failure) throw page.failure;
+    },
+};
+
+const browser = await chromium.launch({ executablePath, args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+let failed = 0;
+try {
+    const url = await serve(run);
+    for (const [name, test] of Object.entries(tests)) {
+        const start = Date.now();
+        const error = await test(browser, url).then(() => null, (e) => e);
+        // Pages that draw on would slow the next one.
+        for (const context of browser.contexts()) await context.close();
+        console.log(`${error ? 'FAILED' : 'ok'}  ${name}  ${((Date.now() - start) / 1000).toFixed(1)} s${error ? `\n${error.stack}` : ''}`);
+        failed += error ? 1 : 0;
+    }
+} finally {
+    await browser.close();
+    served.forEach((server) => server.kill());
+}
+console.log(`test result: ${failed ? 'FAILED' : 'ok'}. ${Object.keys(tests).length - failed} passed; ${failed} failed`);
+process.exit(failed ? 1 : 0);
