@@ -82,10 +82,11 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
         let plan = candidates(capture, &args.methods);
         let budgets =
             |candidate: &Candidate| candidate.budget.map_or_else(|| args.budgets.clone(), |b| vec![b]);
-        for (candidate, budget) in plan.iter().flat_map(|c| budgets(c).into_iter().map(move |b| (c, b))) {
+        let runs: Vec<_> = plan.iter().flat_map(|c| budgets(c).into_iter().map(move |b| (c, b))).collect();
+        for (done, &(candidate, budget)) in runs.iter().enumerate() {
             let compared = all.last_mut().context("a capture was added")?;
             let name = format!("{}: {} at budget {budget}", compared.capture, candidate.name);
-            terminal::note(format_args!("{name}"));
+            terminal::note(format_args!("{name} ({} of {})", done + 1, runs.len()));
             let outcome = args.outcome(capture, compared, candidate, budget);
             if let Some(reason) = &outcome.stopped {
                 terminal::note(format_args!("{name}: {reason}"));
