@@ -1,7 +1,7 @@
 use crate::range;
 use crate::site::{Content, Site};
-use std::io::{Read, SeekFrom};
-use tiny_http::{Header, Method, Request, Response};
+use std::io::{self, Read, SeekFrom, Write};
+use tiny_http::{Method, Request, StatusCode};
 
 /// The page may load from here only, and start workers of its own text.
 const POLICY: &str = "default-src 'self'; script-src 'self' blob: 'wasm-unsafe-eval'; worker-src 'self' blob:; \
@@ -26,7 +26,7 @@ impl Reply {
     fn error(status: u16, text: &str) -> Self {
         let body = text.as_bytes().to_vec();
         let headers = vec![("Content-Type", "text/plain; charset=utf-8".to_owned())];
-        Self { status, length: body.len() as u64, body: Box::new(std::io::Cursor::new(body)), headers }
+        Self { status, length: body.len() as u64, body: Box::new(io::Cursor::new(body)), headers }
     }
 }
 
@@ -41,18 +41,8 @@ impl Gate {
             Method::Get | Method::Head => self.reply(request.url(), host.as_deref(), wanted.as_deref()),
             _ => Reply::error(405, "only GET and HEAD"),
         };
-        let common = [
-            ("Content-Security-Policy", POLICY),
-            ("X-Content-Type-Options", "nosniff"),
-            ("Referrer-Policy", "no-referrer"),
-            ("Cache-Control", "no-store"),
-            ("Accept-Ranges", "bytes"),
-        ];
-        let common = common.map(|(name, value)| (name, value.to_owned()));
-        let headers = reply.headers.into_iter().chain(common);
-        let headers = headers.filter_map(|(name, value)| Header::from_bytes(name, value).ok()).collect();
-        let length = usize::try_from(reply.length).ok();
-        let _ = request.respond(Response::new(reply.status.into(), headers, reply.body, length, None));
+        let with_body = *request.method() != Method::Head;
+        let _ = write(&mut *request.into_writer(), reply, with_body);
     }
 
     fn reply(&self, url: &str, host: Option<&str>, wanted: Option<&str>) -> Reply {
@@ -73,6 +63,33 @@ impl Gate {
             None => Reply::error(404, "not found"),
         }
     }
+}
+
+/// What every answer says. A connection carries one answer: tiny_http may leave a new one waiting for a thread while others
+/// are kept alive.
+const HEADERS: [(&str, &str); 6] = [
+    ("Content-Security-Policy", POLICY),
+    ("X-Content-Type-Options", "nosniff"),
+    ("Referrer-Policy", "no-referrer"),
+    ("Cache-Control", "no-store"),
+    ("Accept-Ranges", "bytes"),
+    ("Connection", "close"),
+];
+
+fn write(out: &mut dyn Write, mut reply: Reply, with_body: bool) -> io::Result<()> {
+    let status = StatusCode(reply.status);
+    write!(out, "HTTP/1.1 {} {}\r\n", reply.status, status.default_reason_phrase())?;
+    for (name, value) in &reply.headers {
+        write!(out, "{name}: {value}\r\n")?;
+    }
+    for (name, value) in HEADERS {
+        write!(out, "{name}: {value}\r\n")?;
+    }
+    write!(out, "Content-Length: {}\r\n\r\n", reply.length)?;
+    if with_body {
+        io::copy(&mut reply.body, out)?;
+    }
+    out.flush()
 }
 
 fn send(mut content: Box<dyn Content>, length: u64, path: &str, wanted: Option<&str>) -> Reply {

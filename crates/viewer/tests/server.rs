@@ -123,3 +123,23 @@ fn a_port_in_use_is_an_error_that_says_so() {
     let error = Viewer::start(Site::default(), port).err().unwrap().to_string();
     assert!(error.contains(&port.to_string()) && error.contains("--port"), "{error}");
 }
+
+/// Browsers open about six connections and keep those that may be kept.
+#[test]
+fn connections_do_not_wait_for_each_other() {
+    let served = Served::new();
+    let get = || {
+        let (address, token) = (served.address(), served.token());
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(std::time::Duration::from_secs(20))).unwrap();
+        write!(stream, "GET /{token}/a.json HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        let (mut answer, mut part) = (Vec::new(), [0; 512]);
+        while !answer.ends_with(b"0123456789") {
+            let count = stream.read(&mut part).unwrap();
+            assert_ne!(count, 0, "cut off");
+            answer.extend(&part[..count]);
+        }
+        assert!(String::from_utf8_lossy(&answer).contains("Connection: close"));
+    };
+    std::thread::scope(|scope| (0..24).for_each(|_| drop(scope.spawn(get))));
+}
