@@ -70,6 +70,7 @@ pub fn finetune<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|_| None,
+        dropout: 0.0,
         rates: &|iteration| config.rates(iteration),
     };
     let count = views.len();

@@ -29,7 +29,7 @@ pub fn conserve_weight(gaussians: &mut Gaussians, range: Range<usize>, cameras: 
 
 /// Blending weight of each Gaussian (px), summed over the cameras.
 fn weights(gaussians: &Gaussians, cameras: &[Camera], antialiased: bool) -> Vec<f32> {
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: Some(0) });
+    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: Some(0), dropout: None });
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
     let mut out = vec![0.0; gaussians.len()];
     for camera in cameras {

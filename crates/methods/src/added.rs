@@ -3,7 +3,7 @@
 use crate::photographs::Photographs;
 use anyhow::Result;
 use ffgs_core::Gaussians;
-use ffgs_rasterizer::Gradients;
+use ffgs_rasterizer::{Dropout, Gradients};
 use ffgs_trainer::{
     Adam, DensityConfig, DensityControl, Epochs, GradientSums, LearningRates, Schedule, Training, Update,
     decay, normal,
@@ -133,6 +133,7 @@ impl<'a, 'v> Added<'a, 'v> {
         let schedule = Schedule {
             iterations: config.iterations,
             sh_degree: &|_| None,
+            dropout: 0.0,
             rates: &|iteration| config.rates(iteration + 1, extent),
         };
         schedule.run(&mut self, views, |_, _| Ok(()), &mut |_| ())
@@ -153,7 +154,7 @@ impl<'a, 'v> Added<'a, 'v> {
 impl Training for Added<'_, '_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
         self.photographs.forward(view, self.gaussians).map(|_| ())
     }
 

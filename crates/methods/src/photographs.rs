@@ -65,7 +65,11 @@ pub(crate) struct Comparison {
 impl Comparison {
     pub(crate) fn new() -> Self {
         Self {
-            rasterizer: CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }),
+            rasterizer: CpuRasterizer::new(RenderOptions {
+                antialiased: true,
+                sh_degree: None,
+                dropout: None,
+            }),
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             by_pixels: no_image(),

@@ -82,6 +82,7 @@ impl<N: Nodes> TwoStages<N> {
         let schedule = Schedule {
             iterations: config.iterations,
             sh_degree: &|_| None,
+            dropout: 0.0,
             rates: &|_| LearningRates::with_means(config.rate),
         };
         let mut fit = Fit::new((&deformation, deltas), gaussians, photographs, config);

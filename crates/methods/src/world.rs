@@ -94,7 +94,8 @@ impl World {
     fn view(&self, view: usize, frame: usize) -> TrainingView {
         let (camera, gaussians) = (camera(view), self.gaussians_at(frame));
         let mut tape = RenderTape::default();
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+        let rasterizer =
+            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
         let mut sky = PlanarImage::zeros(SIZE);
         SkyView::new(&camera, self.sky.face_size()).render(&self.sky, &mut sky);
         let shown = |background| View { camera: &camera, background, tiles: None };

@@ -166,7 +166,7 @@ mod tests {
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
             .render(scene, &view, &mut tape);
         (0..3).flat_map(|c| tape.image().plane(c).to_vec()).collect()
     }

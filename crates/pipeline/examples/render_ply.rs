@@ -17,7 +17,7 @@ fn main() -> Result<()> {
     let splats = ffgs_splats::read_ply(Path::new(ply))?;
     let mut tape = RenderTape::default();
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None }).render(
         &splats.gaussians,
         &view,
         &mut tape,

@@ -42,6 +42,7 @@ const RANGES: &[(&str, Range)] = &[
     ("first_frame.max_gaussians", closed(1.0, (1_u64 << 31) as f64)),
     ("first_frame.opacity_reset", SHARE),
     ("first_frame.sky_rate", RATE),
+    ("first_frame.dropout", closed(0.0, 0.9)),
     ("marking.dilation", DILATION),
     ("marking.slack_share", SHARE),
     ("marking.loss_warning", SHARE),

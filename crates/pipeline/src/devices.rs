@@ -128,7 +128,7 @@ impl<'a> Devices<'a> {
 
     /// Depth-sorted renders of both layers over the sky; on a GPU several views in a submission.
     pub(crate) fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
-        let options = RenderOptions { antialiased: true, sh_degree: None };
+        let options = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
         let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };
         let views: Vec<View> = cameras.iter().zip(&behind).map(view).collect();

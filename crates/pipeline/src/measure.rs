@@ -90,7 +90,8 @@ fn render(
 ) -> (PlanarImage, Mask) {
     let view = View { camera: &truth.camera, background: Background::Image(behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None }).render(gaussians, &view, &mut tape);
+    CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
+        .render(gaussians, &view, &mut tape);
     let opaque = tape.transmittance().iter().map(|&t| u8::from(t < OPAQUE)).collect();
     let mask = Mask::new(truth.camera.size(), opaque);
     (tape.image().clone(), mask.unwrap_or_else(|| Mask::filled(truth.camera.size(), true)))

@@ -7,7 +7,7 @@ use crate::console::Console;
 use crate::device;
 use crate::devices::Devices;
 use crate::disocclusion;
-use crate::few_views::best_trial;
+use crate::few_views::trial;
 use crate::folder::RunFolder;
 use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
 use crate::json::{read_json, write_json};
@@ -35,9 +35,7 @@ use ffgs_method::{
 use ffgs_motion::pixel_sizes;
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{
-    FirstFrame, FirstFrameConfig, Photographed, Prior, StaticLane, Surroundings, camera_extent, shows_sky,
-};
+use ffgs_trainer::{FirstFrame, Photographed, Prior, StaticLane, Surroundings, camera_extent, shows_sky};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -292,7 +290,8 @@ impl<'a> Job<'a> {
         log: &mut StageLog,
     ) -> Result<FirstFrame> {
         let config = &self.config().first_frame;
-        let mut train = |config: &FirstFrameConfig, views: &[TrainingView]| {
+        let mut train = |views: &[TrainingView]| {
+            let config = &config.for_views(views.len());
             let bar = console.lane("first frame", config.iterations);
             self.devices().first_frame(
                 config,
@@ -304,12 +303,11 @@ impl<'a> Job<'a> {
             )
         };
         let start = Instant::now();
-        let Some(best) = best_trial(config, views, self.devices(), &mut train)? else {
-            return train(config, views);
-        };
-        log.since("trials of few cameras", start);
-        best.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
-        train(&best.config, views)
+        if let Some(trial) = trial(config.few_views, views, self.devices(), &mut train)? {
+            log.since("trial of few cameras", start);
+            trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
+        }
+        train(views)
     }
 
     fn split(

@@ -116,7 +116,7 @@ fn project(
     if i < view.count {
         let g = geometry[i];
         let e = project_shape(g);
-        splat.opacity = sigmoid(g.opacity_logit) * compensation_of(e);
+        splat.opacity = min(sigmoid(g.opacity_logit) * dropout_factor(i), 1.0) * compensation_of(e);
         if e.valid && splat.opacity >= MIN_ALPHA {
             splat.mean = view.focal * e.point.xy / e.point.z + view.principal;
             splat.depth = e.point.z;

@@ -187,8 +187,9 @@ fn projection_backward(
     let conic = conic_of(e);
     let mean2d = vec2f(conic.x * s[0] + conic.y * s[1], conic.y * s[0] + conic.z * s[1]);
     let alpha = sigmoid(g.opacity_logit);
+    let factor = dropout_factor(i);
     var d_axes = axes_gradient(e, conic, vec3f(-0.5 * s[2], -s[3], -0.5 * s[4]));
-    let compensation = compensation_gradient(e, s[5] * alpha);
+    let compensation = compensation_gradient(e, s[5] * min(alpha * factor, 1.0));
     d_axes[0] += 2.0 * compensation.x * e.axes[0] + compensation.y * e.axes[1];
     d_axes[1] += compensation.y * e.axes[0] + 2.0 * compensation.z * e.axes[1];
     let shape = shape_gradient(e, d_axes, mean2d);
@@ -207,7 +208,9 @@ fn projection_backward(
         dot(shape.shape[1], e.shape[1]),
         dot(shape.shape[2], e.shape[2]),
     );
-    d.opacity_logit += s[5] * compensation_of(e) * alpha * (1.0 - alpha);
+    // None at the bound of 1.
+    let slope = select(alpha * (1.0 - alpha) * factor, 0.0, alpha * factor > 1.0);
+    d.opacity_logit += s[5] * compensation_of(e) * slope;
     geometry_gradient[i] = d;
     ledger[i].stamp = view.stamp;
     if fresh {

@@ -6,7 +6,7 @@ use crate::scratch::{BLOCK, DIGIT_BITS, DIGITS, Scratch};
 use crate::view::GpuView;
 use crate::{kernels, layout::ViewUniform};
 use ffgs_gpu::{Buffer, Commands, Gpu, Groups};
-use ffgs_rasterizer::RenderOptions;
+use ffgs_rasterizer::{Dropout, RenderOptions};
 
 /// Up to this many values one workgroup scans alone: 4 rounds, for which three kernels are not worth their start.
 const SHORT: usize = 4 * BLOCK;
@@ -29,6 +29,9 @@ pub fn prepare(
         span_capacity: scratch.capacity.spans as u32,
         pair_capacity: scratch.capacity.pairs as u32,
         stamp,
+        dropout_threshold: options.dropout.map_or(0, Dropout::threshold),
+        dropout_draw: options.dropout.map_or(0, |dropout| dropout.draw),
+        dropout_gain: options.dropout.map_or(1.0, Dropout::gain),
         ..view.constants
     };
     gpu.write(&view.uniform, &[constants]);

@@ -27,7 +27,10 @@ pub(crate) struct ViewUniform {
     pub layered: u32,
     pub stamp: u32,
     pub with_pose: u32,
-    pub padding: u32,
+    pub dropout_threshold: u32,
+    pub dropout_draw: u32,
+    pub dropout_gain: f32,
+    pub padding: [u32; 2],
 }
 
 /// `Geometry` of `shaders/common/view.wgsl`: a Gaussian's parameters other than colour, their gradients or moments.

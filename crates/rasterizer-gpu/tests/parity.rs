@@ -3,7 +3,7 @@
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, Mask, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{
-    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
+    Background, CpuRasterizer, Dropout, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
 };
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Rendered};
 use glam::{DMat4, EulerRot};
@@ -140,7 +140,7 @@ fn random_scenes_agree() {
     let gpu = Gpu::for_test();
     let behind = picture(9);
     let plain = RenderOptions::default();
-    let antialiased = RenderOptions { antialiased: true, sh_degree: Some(1) };
+    let antialiased = RenderOptions { antialiased: true, sh_degree: Some(1), dropout: None };
     let cases = [
         Case {
             name: "plain",
@@ -163,6 +163,13 @@ fn random_scenes_agree() {
             background: Background::Colour([0.0; 3]),
             tiles: None,
             options: plain,
+        },
+        Case {
+            name: "dropout",
+            gaussians: scene(300, 1, 5),
+            background: Background::Colour([0.3, 0.1, 0.7]),
+            tiles: None,
+            options: RenderOptions { dropout: Some(Dropout { share: 0.4, draw: 9 }), ..antialiased },
         },
         Case {
             name: "nothing",

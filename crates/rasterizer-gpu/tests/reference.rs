@@ -48,6 +48,7 @@ fn run(gpu: &Gpu, file: &NpzFile) -> (Rendered, Gradients) {
     let options = RenderOptions {
         antialiased: scalar("antialiased") != 0,
         sh_degree: Some(scalar("sh_degree") as usize),
+        dropout: None,
     };
     let (camera, background) = (camera(file), file.f32("in_background").unwrap().data);
     let background = Background::Colour([background[0], background[1], background[2]]);

@@ -159,7 +159,8 @@ impl Association<'_> {
         let tiles = TileMask::covering(self.mask);
         let view =
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) });
+        let rasterizer =
+            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
         let channels = Channels::new(*self);
         let summed = Summed { gaussians, bounds: Some(bounds), wanted: means.len() };
         rasterizer.sum_entries(&summed, &view, &channels, tape, sums);

@@ -1,6 +1,8 @@
 //! Gaussians in blocks of a fixed size, one column a parameter: what is written as a loop over a block runs in the
 //! lanes of the dispatched instruction set.
 
+use crate::dropout::Dropout;
+use crate::elementary::sigmoid;
 use crate::projection::{Extent, PinholeF32, Splat, offset, splat};
 use ffgs_core::Gaussians;
 use glam::Vec3;
@@ -19,12 +21,21 @@ pub(crate) struct Block {
     pub(crate) quat: [Column; 4],
     pub(crate) log_scales: [Column; 3],
     pub(crate) opacity_logit: Column,
+    /// Factor of the opacity; 0 = left out.
+    pub(crate) factor: Column,
 }
 
 impl Block {
     /// Loads Gaussian `i` into lane `k`.
     #[inline(always)]
-    pub(crate) fn load(&mut self, k: usize, g: &Gaussians, i: usize, camera: &PinholeF32) {
+    pub(crate) fn load(
+        &mut self,
+        k: usize,
+        g: &Gaussians,
+        i: usize,
+        camera: &PinholeF32,
+        dropout: Option<Dropout>,
+    ) {
         let from_camera = offset(g.means[i], camera.center);
         let (quat, scales) = (g.quats[i], g.log_scales[i]);
         for axis in 0..3 {
@@ -35,6 +46,7 @@ impl Block {
             self.quat[axis][k] = quat[axis];
         }
         self.opacity_logit[k] = g.opacity_logits[i];
+        self.factor[k] = dropout.map_or(1.0, |dropout| dropout.factor(i));
     }
 
     /// Position of lane `k`.
@@ -55,6 +67,21 @@ impl Block {
         [self.log_scales[0][k], self.log_scales[1][k], self.log_scales[2][k]]
     }
 
+    /// Opacity of lane `k`, without the antialiasing compensation.
+    #[inline(always)]
+    pub(crate) fn opacity(&self, k: usize) -> f32 {
+        let alpha = sigmoid(self.opacity_logit[k]) * self.factor[k];
+        // Not `min`, which would make 1 of a NaN.
+        if alpha > 1.0 { 1.0 } else { alpha }
+    }
+
+    /// Derivative of [`Block::opacity`] by the logit: none at the bound.
+    #[inline(always)]
+    pub(crate) fn opacity_slope(&self, k: usize) -> f32 {
+        let alpha = sigmoid(self.opacity_logit[k]);
+        if alpha * self.factor[k] > 1.0 { 0.0 } else { alpha * (1.0 - alpha) * self.factor[k] }
+    }
+
     /// Projects all lanes.
     #[inline(always)]
     pub(crate) fn project(
@@ -65,9 +92,9 @@ impl Block {
         out: &mut Projected,
     ) {
         for k in 0..BLOCK {
-            let logit = self.opacity_logit[k];
+            let bare = self.opacity(k);
             let (s, e) =
-                splat(self.offset(k), self.quat(k), self.log_scales(k), logit, camera, antialiased, size);
+                splat(self.offset(k), self.quat(k), self.log_scales(k), bare, camera, antialiased, size);
             out.mean[0][k] = s.mean[0];
             out.mean[1][k] = s.mean[1];
             out.conic[0][k] = s.conic[0];

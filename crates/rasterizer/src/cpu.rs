@@ -6,6 +6,7 @@ use crate::chunks::{CHUNK, ChunkBounds};
 use crate::compose::compose;
 use crate::constants::MIN_TRANSMITTANCE;
 use crate::coverage::cover;
+use crate::dropout::Dropout;
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
 use crate::tile_lists::Entry;
@@ -73,6 +74,7 @@ impl CpuRasterizer {
             gaussians,
             camera: PinholeF32::from(view.camera),
             antialiased: self.options.antialiased,
+            dropout: self.options.dropout,
             degree: active_degree(gaussians, self.options),
             size: [size.width as f32, size.height as f32],
             grid: tape.grid,
@@ -107,6 +109,7 @@ struct Projection<'a> {
     gaussians: &'a Gaussians,
     camera: PinholeF32,
     antialiased: bool,
+    dropout: Option<Dropout>,
     degree: usize,
     /// Of the image (px).
     size: [f32; 2],
@@ -134,7 +137,7 @@ impl WithSimd for ProjectChunk<'_> {
         for start in (first..end).step_by(BLOCK) {
             let count = BLOCK.min(end - start);
             for k in 0..count {
-                block.load(k, shared.gaussians, start + k, &shared.camera);
+                block.load(k, shared.gaussians, start + k, &shared.camera, shared.dropout);
             }
             block.project(&shared.camera, shared.antialiased, shared.size, &mut projected);
             for k in 0..count {

@@ -378,7 +378,8 @@ mod tests {
     fn image(g: &Gaussians, camera: &Camera, antialiased: bool) -> Vec<f64> {
         let view = View { camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None }).render(g, &view, &mut tape);
+        CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
+            .render(g, &view, &mut tape);
         tape.image().data().iter().map(|v| f64::from(*v)).collect()
     }
 
@@ -407,7 +408,7 @@ mod tests {
     fn information(antialiased: bool) -> Information {
         let (g, camera) = scene();
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None });
+        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None });
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
         let mut out = Information::none(g.len(), 1);
@@ -420,7 +421,8 @@ mod tests {
     fn a_part_is_told_the_same_as_all() {
         let (g, camera) = scene();
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+        let rasterizer =
+            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
         let all = information(true);

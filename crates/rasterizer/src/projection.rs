@@ -1,7 +1,7 @@
 //! EWA projection of one Gaussian: shared by the forward and the backward pass, which loop over blocks of Gaussians.
 
 use crate::constants::{FRUSTUM_MARGIN, MIN_ALPHA, MIN_COMPENSATION, NEAR, PIXEL_FILTER};
-use crate::elementary::{exp, ln, sigmoid};
+use crate::elementary::{exp, ln};
 use crate::spherical_harmonics;
 use crate::view::RenderOptions;
 use ffgs_core::{Camera, Gaussians, sh_coefficients};
@@ -213,7 +213,7 @@ pub(crate) struct Extent {
 }
 
 /// The splat without colour, index and spans, and its extent; its opacity is 0 where it cannot show, be it because it
-/// lies outside the image of `size` (px).
+/// lies outside the image of `size` (px). `bare` is the opacity without compensation.
 #[allow(
     clippy::needless_bitwise_bool,
     reason = "a lazy operator is a branch, and a branch keeps the loop from being vectorised"
@@ -223,14 +223,13 @@ pub(crate) fn splat(
     offset: Vec3,
     quat: [f32; 4],
     log_scales: [f32; 3],
-    opacity_logit: f32,
+    bare: f32,
     camera: &PinholeF32,
     antialiased: bool,
     size: [f32; 2],
 ) -> (Splat, Extent) {
     let ewa = ewa(offset, quat, log_scales, camera);
     let filtered = filter(&ewa, antialiased);
-    let bare = sigmoid(opacity_logit);
     let opacity = bare * filtered.compensation;
     let mean = [
         camera.focal[0] * ewa.point.x / ewa.point.z + camera.principal[0],

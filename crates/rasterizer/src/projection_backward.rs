@@ -2,7 +2,6 @@
 
 use crate::block::{BLOCK, Block, Column};
 use crate::constants::ENTRY;
-use crate::elementary::sigmoid;
 use crate::gradients::Gradients;
 use crate::projection::{self, Ewa, PinholeF32};
 use crate::spherical_harmonics as sh;
@@ -213,7 +212,7 @@ impl Context<'_> {
     /// Loads Gaussian `i` into lane `k` and differentiates its colour.
     #[inline(always)]
     fn load(&self, input: &mut BlockInput, k: usize, i: usize, slot: usize) -> ColourGradient {
-        input.block.load(k, self.gaussians, i, &self.camera);
+        input.block.load(k, self.gaussians, i, &self.camera, self.options.dropout);
         let e = &input.entries;
         let colour = self.colour(i, slot, [e[6][k], e[7][k], e[8][k]]);
         for axis in 0..3 {
@@ -272,7 +271,7 @@ impl Context<'_> {
             let quat = input.block.quat(k);
             let ewa = projection::ewa(input.block.offset(k), quat, input.block.log_scales(k), camera);
             let filtered = projection::filter(&ewa, antialiased);
-            let alpha = sigmoid(input.block.opacity_logit[k]);
+            let alpha = input.block.opacity(k);
             let free = antialiased & projection::compensation_is_free(&filtered);
             let footprint = FootprintGradient::new(&filtered, [e[2][k], e[3][k], e[4][k]]);
             let compensation = compensation_gradient(&filtered, ewa.covariance, free, e[5][k] * alpha);
@@ -291,7 +290,7 @@ impl Context<'_> {
             for a in 0..4 {
                 out.quat[a][k] = d_quat[a];
             }
-            out.opacity_logit[k] = e[5][k] * filtered.compensation * alpha * (1.0 - alpha);
+            out.opacity_logit[k] = e[5][k] * filtered.compensation * input.block.opacity_slope(k);
             out.valid[k] = if ewa.valid { 1.0 } else { 0.0 };
         }
     }

@@ -1,3 +1,4 @@
+use crate::dropout::Dropout;
 use crate::tiles::TileMask;
 use ffgs_core::{Camera, PlanarImage};
 
@@ -38,4 +39,6 @@ pub struct RenderOptions {
     pub antialiased: bool,
     /// SH degree to evaluate; `None` = the Gaussians' own. Lower while colours are still coarse.
     pub sh_degree: Option<usize>,
+    /// Gaussians that are left out by chance; `None` = none.
+    pub dropout: Option<Dropout>,
 }

@@ -45,6 +45,7 @@ impl Case {
         let options = RenderOptions {
             antialiased: scalar("antialiased") != 0,
             sh_degree: Some(scalar("sh_degree") as usize),
+            dropout: None,
         };
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         Self { gaussians, camera, background: [background[0], background[1], background[2]], options, file }

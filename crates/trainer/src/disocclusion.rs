@@ -129,6 +129,7 @@ pub fn train_disoccluded<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|_| None,
+        dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
     };
     let mut density = DensityControl::new(DensityConfig::default(), seed);
@@ -163,7 +164,7 @@ fn shown(view: &TrainingView, gaussians: &Gaussians) -> Mask {
     let size = view.camera.size();
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) })
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None })
         .render(gaussians, &frame, &mut tape);
     let shown = tape.transmittance().iter().map(|t| u8::from(1.0 - t > SHOWN));
     Mask::new(size, shown.collect()).expect("one value per pixel")
@@ -187,7 +188,7 @@ mod tests {
     fn drawn(camera: &Camera, layer: &Gaussians) -> ImageRgb8 {
         let frame = View { camera, background: Background::Colour([0.5; 3]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
             .render(layer, &frame, &mut tape);
         let bytes = (0..SIZE.pixels()).flat_map(|p| tape.image().pixel(p).map(|v| (v * 255.0).round() as u8));
         ImageRgb8::new(SIZE, bytes.collect()).unwrap()

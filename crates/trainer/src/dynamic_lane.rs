@@ -124,6 +124,7 @@ pub fn train_dynamic<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|_| None,
+        dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
     };
     let trained = train_layer(backend, task, &schedule, seed, report);

@@ -40,9 +40,10 @@ pub struct FirstFrameConfig {
     pub opacity_reset: f32,
     /// Rate of the sky's texels.
     pub sky_rate: f32,
-    /// With at most so many views (and three at least), steps and degree are those under which a view left out is
-    /// best; 0 = never.
+    /// Number of views that counts as few.
     pub few_views: usize,
+    /// Share of the Gaussians that each step leaves out.
+    pub dropout: f32,
 }
 
 impl Default for FirstFrameConfig {
@@ -60,8 +61,18 @@ impl Default for FirstFrameConfig {
             max_gaussians: 90_000,
             opacity_reset: 0.0,
             sky_rate: 5e-3,
-            few_views: 0,
+            few_views: 12,
+            dropout: 0.4,
         }
+    }
+}
+
+impl FirstFrameConfig {
+    /// With the share of `dropout` that `views` views need: all of it where they are few, none with half as many again.
+    #[must_use]
+    pub fn for_views(self, views: usize) -> Self {
+        let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
+        Self { dropout: self.dropout * scarcity, ..self }
     }
 }
 
@@ -100,6 +111,7 @@ pub fn train_first_frame<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
+        dropout: config.dropout,
         rates: &|iteration| rates(config, iteration, extent),
     };
     schedule.run(
@@ -155,5 +167,19 @@ impl Rounds<'_> {
             });
             Revision { map, opacities_reset: resets }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dropout_ends_with_half_as_many_views_again() {
+        let config = FirstFrameConfig { few_views: 12, dropout: 0.4, ..FirstFrameConfig::default() };
+        let shares = [3, 12, 15, 18, 40].map(|views| config.for_views(views).dropout);
+        assert_eq!(shares, [0.4, 0.4, 0.2, 0.0, 0.0]);
+        let never = FirstFrameConfig { few_views: 0, ..config };
+        assert_eq!([1, 3].map(|views| never.for_views(views).dropout), [0.0; 2]);
     }
 }

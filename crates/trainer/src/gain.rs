@@ -34,7 +34,7 @@ pub struct Gain {
 /// What the views tell of the last `count` of all Gaussians. Passes over all views with all layers together. Foreground
 /// and background have each their own noise in every view, so that a camera that fits badly tells less.
 pub fn information_gain(gaussians: &Gaussians, count: usize, sky: &SkyCube, views: &[TrainingView]) -> Gain {
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
     let mut information = Information::none(count, gaussians.sh_degree());
     let mut foreground = Vec::new();

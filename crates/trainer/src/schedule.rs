@@ -1,6 +1,7 @@
 use crate::adam::LearningRates;
 use crate::backend::Training;
 use crate::view::Progress;
+use ffgs_rasterizer::Dropout;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -42,6 +43,8 @@ pub struct Schedule<'a> {
     pub iterations: usize,
     /// SH degree of the colours at a step; `None` = the Gaussians' own.
     pub sh_degree: &'a dyn Fn(usize) -> Option<usize>,
+    /// Share of the Gaussians that each step leaves out.
+    pub dropout: f32,
     /// Step sizes at a step.
     pub rates: &'a dyn Fn(usize) -> LearningRates,
 }
@@ -60,7 +63,9 @@ impl Schedule<'_> {
     ) -> Result<(), T::Error> {
         for iteration in 0..self.iterations {
             let Some(view) = views.draw() else { break };
-            training.forward(view, (self.sh_degree)(iteration))?;
+            let dropout =
+                (self.dropout > 0.0).then_some(Dropout { share: self.dropout, draw: iteration as u32 });
+            training.forward(view, (self.sh_degree)(iteration), dropout)?;
             training.backward()?;
             training.step(&(self.rates)(iteration))?;
             after(iteration + 1, training)?;

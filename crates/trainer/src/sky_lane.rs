@@ -27,7 +27,8 @@ pub fn shows_sky(layer: &Gaussians, views: &[TrainingView]) -> bool {
 /// Renders a layer before black.
 pub(crate) fn render_alone(layer: &Gaussians, view: &TrainingView, tape: &mut RenderTape) {
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
+        .render(layer, &frame, tape);
 }
 
 /// Finetunes the sky through the transmittance that `layer` leaves.

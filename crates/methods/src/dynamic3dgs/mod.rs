@@ -26,7 +26,7 @@ use crate::saved::{Reader, Writer};
 use anyhow::{Result, ensure};
 use ffgs_core::{Gaussians, Scene, StageLog};
 use ffgs_method::{Finetuning, MotionMethod, Step};
-use ffgs_rasterizer::Gradients;
+use ffgs_rasterizer::{Dropout, Gradients};
 use ffgs_trainer::{Adam, LearningRates, Schedule, Training, Update, camera_extent};
 use glam::{DVec3, Quat, Vec3};
 use segmentation::Segmentation;
@@ -205,8 +205,12 @@ impl MotionMethod for Dynamic3dgs {
             gaussians,
         };
         let rates = self.rates(camera_extent(step.now));
-        let schedule =
-            Schedule { iterations: self.config.iterations, sh_degree: &|_| None, rates: &|_| rates };
+        let schedule = Schedule {
+            iterations: self.config.iterations,
+            sh_degree: &|_| None,
+            dropout: 0.0,
+            rates: &|_| rates,
+        };
         schedule.run(&mut training, &mut view_order(step), |_, _| Ok(()), &mut |_| ())?;
         log.since("training", timer);
         Ok(Finetuning::Done)
@@ -266,7 +270,7 @@ struct Frame<'a> {
 impl Training for Frame<'_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
         self.photographs.forward(view, self.gaussians).map(|_| ())
     }
 

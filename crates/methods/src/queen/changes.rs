@@ -61,7 +61,7 @@ pub(super) fn masks(
 }
 
 fn opaque(gaussians: &Gaussians, camera: &Camera) -> Mask {
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
     let (view, mut tape) =
         (View { camera, background: Background::Colour([0.0; 3]), tiles: None }, RenderTape::default());
     rasterizer.render(gaussians, &view, &mut tape);

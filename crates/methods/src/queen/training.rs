@@ -4,7 +4,7 @@ use crate::photographs::{Photographs, frame_seed, view_order};
 use anyhow::Result;
 use ffgs_core::Gaussians;
 use ffgs_method::Step;
-use ffgs_rasterizer::Gradients;
+use ffgs_rasterizer::{Dropout, Gradients};
 use ffgs_trainer::{DensityControl, GradientSums, LearningRates, Schedule, Training, camera_extent, decay};
 
 /// A frame under training.
@@ -58,6 +58,7 @@ impl<'a, 'b, 'v> Frame<'a, 'b, 'v> {
         let schedule = Schedule {
             iterations: config.epochs * self.views,
             sh_degree: &|_| None,
+            dropout: 0.0,
             rates: &|iteration| LearningRates::with_means(rate(iteration)),
         };
         schedule.run(&mut self, &mut view_order(step), |_, _| Ok(()), &mut |_| ())
@@ -77,7 +78,7 @@ impl<'a, 'b, 'v> Frame<'a, 'b, 'v> {
 impl Training for Frame<'_, '_, '_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
         if self.steps == (self.config.epochs as f32 * self.config.masked).ceil() as usize * self.views {
             self.photographs.masks.clear();
         }

@@ -182,6 +182,7 @@ impl Trackersplat<'_> {
         let schedule = Schedule {
             iterations: self.config.iterations,
             sh_degree: &|_| None,
+            dropout: 0.0,
             rates: &|done| self.config.rates(done, extent),
         };
         (self.train)(task, &schedule, frame_seed(step))?;

@@ -32,7 +32,7 @@ pub(crate) fn surface_points(
     let (tiles, photograph) = (TileMask::covering(&view.mask), PlanarImage::from(&view.image));
     let background = Background::Image(&photograph);
     let shown = View { camera: &view.camera, background, tiles: Some(&tiles) };
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
     let mut tape = RenderTape::default();
     let top = rasterizer.top_contributors(layer, &shown, CONTRIBUTORS, &mut tape);
     rasterizer.render(layer, &shown, &mut tape);

@@ -39,7 +39,7 @@ fn photographs(count: usize, motion: &RigidMotion, exposure: f32) -> Vec<Trainin
         let camera = Camera::new(intrinsics, look_at(eye, DVec3::ZERO), SIZE).unwrap();
         let mut tape = RenderTape::default();
         let shown = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
             .render(&moved, &shown, &mut tape);
         let mut image = PlanarImage::zeros(SIZE);
         image.data_mut().iter_mut().zip(tape.image().data()).for_each(|(out, v)| *out = v + exposure);

@@ -81,7 +81,11 @@ fn options(input: &Input, available: usize) -> Result<RenderOptions> {
     let degree = input.count("sh_degree")?;
     let what = format!("{degree}, but in_sh holds degree {available}");
     ensure!(degree <= available, input.fault("sh_degree", what));
-    Ok(RenderOptions { antialiased: input.count("antialiased")? != 0, sh_degree: Some(degree) })
+    Ok(RenderOptions {
+        antialiased: input.count("antialiased")? != 0,
+        sh_degree: Some(degree),
+        dropout: None,
+    })
 }
 
 /// Derivatives of the loss with respect to image and transmittance.

@@ -100,6 +100,18 @@ fn project_shape(g: Geometry) -> Ewa {
     return e;
 }
 
+// PCG-RXS-M-XS, as in rasterizer/src/dropout.rs.
+fn hash(value: u32) -> u32 {
+    let state = value * 747796405u + 2891336453u;
+    let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+    return (word >> 22u) ^ word;
+}
+
+// Factor of the opacity of Gaussian i: 0 where it is left out, 1 without dropout.
+fn dropout_factor(i: u32) -> f32 {
+    return select(view.dropout_gain, 0.0, hash(i + hash(view.dropout_draw)) < view.dropout_threshold);
+}
+
 // Inverse of the filtered covariance: xx, xy, yy (1/px^2).
 fn conic_of(e: Ewa) -> vec3f {
     return vec3f(e.filtered.z, -e.filtered.y, e.filtered.x) / e.determinants.y;

@@ -26,7 +26,12 @@ struct View {
     // Number of the training step; a gradient with another stamp is stale.
     stamp: u32,
     with_pose: u32,
-    padding: u32,
+    // Gaussians whose hash lies below are left out; 0: none is.
+    dropout_threshold: u32,
+    dropout_draw: u32,
+    // Factor of the opacities of the others.
+    dropout_gain: f32,
+    padding: vec2u,
 }
 
 // A Gaussian's parameters other than its colour; also their gradients and moments.

@@ -51,7 +51,8 @@ pub(crate) fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarIma
     SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(g, &view, &mut tape);
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
+        .render(g, &view, &mut tape);
     tape.image().clone()
 }
 

@@ -32,7 +32,7 @@ impl Step {
         Self {
             adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
             photo: ImageRgb8::new(size, bytes).expect("three bytes per pixel"),
-            rasterizer: CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None }),
+            rasterizer: CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None }),
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             pixels: PlanarImage::zeros(size),

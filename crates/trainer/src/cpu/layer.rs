@@ -7,7 +7,7 @@ use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
-use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Dropout, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
 
@@ -36,7 +36,11 @@ impl<'a> CpuLayer<'a> {
     pub(super) fn new(task: LayerTask<'a>) -> Self {
         let layer = Arc::make_mut(task.layer);
         let mut seen = vec![0; layer.len()];
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: task.antialiased, sh_degree: None });
+        let rasterizer = CpuRasterizer::new(RenderOptions {
+            antialiased: task.antialiased,
+            sh_degree: None,
+            dropout: None,
+        });
         let around = match task.around {
             Around::Sky(sky) => Surrounding::Sky(sky, SkyBehind::new()),
             Around::TrainedSky(sky, rate) => Surrounding::Trained(Box::new(TrainedSky::new(sky, rate))),
@@ -67,9 +71,15 @@ impl<'a> CpuLayer<'a> {
 impl Training for CpuLayer<'_> {
     type Error = Infallible;
 
-    fn forward(&mut self, index: usize, sh_degree: Option<usize>) -> Result<(), Infallible> {
+    fn forward(
+        &mut self,
+        index: usize,
+        sh_degree: Option<usize>,
+        dropout: Option<Dropout>,
+    ) -> Result<(), Infallible> {
         self.at = index;
-        self.rasterizer = CpuRasterizer::new(RenderOptions { antialiased: self.antialiased, sh_degree });
+        self.rasterizer =
+            CpuRasterizer::new(RenderOptions { antialiased: self.antialiased, sh_degree, dropout });
         let TaskView { view, region, tiles } = &self.views[index];
         self.around.aim(index, &view.camera);
         let background = Background::Image(self.around.behind());

@@ -89,7 +89,8 @@ fn residual(
     tape: &mut RenderTape,
 ) -> Residual {
     let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None }).render(layer, &frame, tape);
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
+        .render(layer, &frame, tape);
     let (photo, region) = (&view.image, outside(view, dilation));
     let difference = |p: usize| Vec3::from(photo.pixel(p)) - Vec3::from(tape.image().pixel(p));
     let counted: Vec<bool> = region.data().iter().map(|&inside| inside != 0).collect();

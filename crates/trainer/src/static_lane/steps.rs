@@ -27,6 +27,7 @@ pub(super) fn train<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.static_iterations,
         sh_degree: &|_| None,
+        dropout: 0.0,
         rates: &|_| config.static_rates(),
     };
     schedule.run(&mut training, &mut Epochs::new(views.len(), seed), |_, _| Ok(()), report)?;

@@ -22,7 +22,8 @@ impl ViewTrace {
     /// The `count` heaviest contributors of every pixel, with a basis of the given degree.
     pub(super) fn new(camera: &Camera, layer: &Gaussians, count: usize, degree: usize) -> Self {
         let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0) });
+        let rasterizer =
+            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
         let top = rasterizer.top_contributors(layer, &view, count, &mut RenderTape::default());
         let mut place = vec![u32::MAX; layer.len()];
         top.indices.iter().filter(|i| **i >= 0).for_each(|&i| place[i as usize] = 0);

@@ -59,7 +59,7 @@ fn render(gaussians: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage 
     SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None })
+    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
         .render(gaussians, &view, &mut tape);
     tape.image().clone()
 }
@@ -274,7 +274,7 @@ pub(crate) fn what_is_fixed_stays<B: TrainBackend>(backend: &B) {
     let mut training = backend.upload_layer(task).unwrap();
     let rates =
         LearningRates { means: 0.0, quats: 0.0, scales: 1e-2, opacities: 1e-2, sh0: 1e-2, sh_rest: 1e-3 };
-    let schedule = Schedule { iterations: 12, sh_degree: &|_| None, rates: &|_| rates };
+    let schedule = Schedule { iterations: 12, sh_degree: &|_| None, dropout: 0.0, rates: &|_| rates };
     schedule
         .run(&mut training, &mut Epochs::new(world.views.len(), SEED), |_, _| Ok(()), &mut |_| {})
         .unwrap();
