@@ -7,6 +7,8 @@ use std::process::Command;
 
 /// Crates that the program does not consist of: they stand above it or belong to tests.
 const OTHERS: [&str; 4] = ["lab", "motion-eval", "simulator", "testkit"];
+/// What of a crate is compiled into the program.
+const PARTS: [&str; 5] = ["src", "shaders", "templates", "web", "CONFIGURATION.md"];
 
 fn main() {
     let version = std::env::var("CARGO_PKG_VERSION").unwrap_or_default();
@@ -28,8 +30,9 @@ fn main() {
 fn sources(root: &Path) -> Vec<PathBuf> {
     let crates = std::fs::read_dir(root.join("crates")).into_iter().flatten().flatten();
     let own = crates.filter(|folder| !OTHERS.iter().any(|other| folder.file_name() == *other));
-    let files = ["Cargo.toml", "Cargo.lock", "shaders", "web"].map(|name| root.join(name));
-    let mut sources: Vec<_> = own.map(|folder| folder.path().join("src")).chain(files).collect();
+    let files = ["Cargo.toml", "Cargo.lock"].map(|name| root.join(name));
+    let parts = own.flat_map(|folder| PARTS.map(|part| folder.path().join(part)));
+    let mut sources: Vec<_> = parts.chain(files).collect();
     sources.retain(|path| path.exists());
     sources.sort();
     sources

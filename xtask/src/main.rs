@@ -170,8 +170,7 @@ fn run(command: Command) -> Result<ExitCode> {
             }
         }
         Command::Tidy => {
-            tidy::run(&root)?;
-            println!("tidy: no finding");
+            println!("tidy: no finding; {}", tidy::run(&root)?);
         }
         Command::Fixtures { action: FixturesAction::Check } => println!("{}", fixtures::check(&root)?),
         Command::Fixtures { action: FixturesAction::Update } => println!("{}", fixtures::update(&root)?),

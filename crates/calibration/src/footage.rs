@@ -41,7 +41,7 @@ pub struct SourceCamera {
 pub enum Pictures {
     /// A video that ffmpeg reads.
     Video(PathBuf),
-    /// One file a frame, in order.
+    /// One file per frame, in order.
     Files(Vec<PathBuf>),
 }
 

@@ -37,7 +37,7 @@ impl Distortion {
     ///
     /// # Errors
     /// For values that are not finite, or more than four.
-    pub fn fisheye(coefficients: &[f64]) -> Result<Self, String> {
+    pub(crate) fn fisheye(coefficients: &[f64]) -> Result<Self, String> {
         if coefficients.len() > 4 || coefficients.iter().any(|v| !v.is_finite()) {
             return Err(format!("fisheye distortion {coefficients:?} must be four finite numbers"));
         }
@@ -57,7 +57,7 @@ impl Distortion {
 
     /// The largest distance from the axis (at depth 1) up to which the radial part grows. Polynomials fold back beyond
     /// the part of the image that they were fitted to, and would fetch the picture's middle a second time.
-    pub fn valid_radius(&self) -> f64 {
+    pub(crate) fn valid_radius(&self) -> f64 {
         const STEP: f64 = 1e-3;
         // tan(84 degrees); a wider pinhole image has no use.
         const WIDEST: f64 = 9.5;
@@ -118,7 +118,11 @@ pub struct Lens {
 
 impl Lens {
     /// A lens from a calibration that counts pixels from the centre of the first one (OpenCV's own).
-    pub fn with_integer_centers(intrinsics: Intrinsics, distortion: Distortion, size: ImageSize) -> Self {
+    pub(crate) fn with_integer_centers(
+        intrinsics: Intrinsics,
+        distortion: Distortion,
+        size: ImageSize,
+    ) -> Self {
         let Intrinsics { fx, fy, cx, cy } = intrinsics;
         Self { intrinsics: Intrinsics { fx, fy, cx: cx + 0.5, cy: cy + 0.5 }, distortion, size }
     }

@@ -6,8 +6,8 @@ use glam::Vec3;
 const BITS: u32 = 21;
 
 /// Indices of `points` (m) along a Z-order curve through their bounding box (Morton 1966); points in one cell keep their
-/// order. Every point comes once, also what is not finite. Passes that go through Gaussians in this order find what they share,
-/// tiles, trees, cache lines, still at hand.
+/// order. Every point comes once, also those that are not finite. Neighbours in this order are neighbours in space,
+/// so that tiles, nodes of k-d trees and cache lines are reused.
 pub fn spatial_order(points: &[[f32; 3]]) -> Vec<usize> {
     let finite = || points.iter().map(|&p| Vec3::from(p)).filter(|p| p.is_finite());
     let low = finite().fold(Vec3::INFINITY, Vec3::min).as_dvec3();

@@ -33,7 +33,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Reads the camera lists of the capture in `root`. Cameras that are none are reported when asked for.
+    /// Reads the camera lists of the capture in `root`. Invalid cameras are reported on access, not here.
     ///
     /// # Errors
     /// When a camera list is missing or damaged, or the splits differ in their frames.

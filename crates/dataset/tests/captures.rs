@@ -163,7 +163,7 @@ fn every_camera_may_have_its_own_image_size() {
 }
 
 #[test]
-fn cameras_that_are_none_are_faults() {
+fn invalid_cameras_are_faults() {
     for (from, to, text) in [
         ("[0,0,1,2]", "[0,0,NaN,2]", "camera 'a', frame 0: camera holds a value that is not finite"),
         ("[0,0,1,2]", "[0,0,-1,2]", "not a rigid transform"),

@@ -32,7 +32,7 @@ pub enum Structure {
     None,
     /// Robust rigid motion of the neighbourhood replaces the random walk as the prior.
     RigidNeighbours,
-    /// Robust rigid motion of what moves together; those who leave it take that of their neighbourhood.
+    /// Robust rigid motion of what moves together; Gaussians that leave it take that of their neighbourhood.
     #[default]
     RigidGroups,
 }

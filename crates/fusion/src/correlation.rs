@@ -1,6 +1,6 @@
 //! How much the errors of two trackers have in common.
 
-use crate::evidence::{Evidence, Told};
+use crate::evidence::{Evidence, TrackerEstimate};
 use crate::prior::Prior;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ pub(crate) fn correlation(evidence: &Evidence, priors: &[Option<Prior>], scales:
         let mut errors = Vec::new();
         for (k, prior) in priors.iter().enumerate() {
             let Some(prior) = prior else { continue };
-            let error = |(l, told): (usize, &Told)| {
+            let error = |(l, told): (usize, &TrackerEstimate)| {
                 let variance = 3.0 * scales[prior.scales][l] / told.information.trace();
                 ((told.mean - prior.mean) * variance.sqrt().recip()).clamp_length_max(CLIP)
             };

@@ -14,14 +14,14 @@ pub(crate) const MIN_SCALE: f64 = 1e-6;
 
 /// One tracker's estimate of one Gaussian.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Told {
+pub(crate) struct TrackerEstimate {
     /// Place at t (m).
     pub mean: DVec3,
     /// Inverse covariance (1/m^2); zero where there is no usable estimate.
     pub information: Symmetric,
 }
 
-impl Told {
+impl TrackerEstimate {
     fn new(e: &Estimates, i: usize) -> Self {
         let (mean, information) = (e.means[i], Symmetric::from(e.covariances[i]).inverse());
         let usable = e.status[i] == EstimateStatus::Ok && information.is_finite() && mean.is_finite();
@@ -49,15 +49,15 @@ pub(crate) struct Combined {
 pub(crate) struct Evidence {
     trackers: usize,
     /// (N, L) estimates.
-    told: Vec<Told>,
+    told: Vec<TrackerEstimate>,
 }
 
 impl Evidence {
     pub(crate) fn new(estimates: &[Estimates]) -> Self {
         let (n, trackers) = (estimates.first().map_or(0, |e| e.status.len()), estimates.len());
-        let mut told = vec![Told::default(); n * trackers];
+        let mut told = vec![TrackerEstimate::default(); n * trackers];
         told.par_chunks_mut(trackers.max(1)).enumerate().for_each(|(i, row)| {
-            row.iter_mut().zip(estimates).for_each(|(told, e)| *told = Told::new(e, i));
+            row.iter_mut().zip(estimates).for_each(|(told, e)| *told = TrackerEstimate::new(e, i));
         });
         Self { trackers, told }
     }
@@ -68,18 +68,18 @@ impl Evidence {
     }
 
     /// (L) estimates of a Gaussian.
-    pub(crate) fn all(&self, i: usize) -> &[Told] {
+    pub(crate) fn all(&self, i: usize) -> &[TrackerEstimate] {
         &self.told[i * self.trackers..(i + 1) * self.trackers]
     }
 
     /// The usable estimates of a Gaussian, each with the number of its tracker.
-    pub(crate) fn of(&self, i: usize) -> impl Iterator<Item = (usize, &Told)> {
+    pub(crate) fn of(&self, i: usize) -> impl Iterator<Item = (usize, &TrackerEstimate)> {
         self.all(i).iter().enumerate().filter(|t| t.1.usable())
     }
 
     /// Whether any tracker measured Gaussian `i`.
     pub(crate) fn measured(&self, i: usize) -> bool {
-        self.all(i).iter().any(Told::usable)
+        self.all(i).iter().any(TrackerEstimate::usable)
     }
 
     /// What all trackers together say with (L) factors `scales` on their covariances.

@@ -55,7 +55,7 @@ pub struct StructurePrior {
 ///
 /// # Errors
 /// [`FusionError::Index`] when the spatial index refuses the points.
-pub fn local_rigid_motion(
+pub(crate) fn local_rigid_motion(
     previous: &[DVec3],
     means: &[DVec3],
     covariances: &[DMat3],
@@ -146,7 +146,7 @@ const ROUNDS: usize = 10;
 /// Median length of a three-dimensional standard normal vector.
 const MEDIAN_LENGTH: f64 = 1.538;
 /// Measured neighbours, the Gaussian included, that judge the neighbourhoods.
-const JUDGES: usize = 12;
+const COMPARED: usize = 12;
 
 impl<'a> Cloud<'a> {
     fn new(
@@ -205,14 +205,14 @@ impl<'a> Cloud<'a> {
     /// Blends the nearest neighbourhoods that explain the measurements around Gaussian `i`.
     fn predict(&self, i: usize, seeds: &[Seed], tree: &Tree, config: &StructureConfig) -> Prediction {
         let place = self.previous[i];
-        let judges = self.neighbours(i, JUDGES);
+        let compared = self.neighbours(i, COMPARED);
         let near: Vec<&Seed> = nearest(tree, place - self.origin, config.blend.clamp(1, seeds.len()))
             .iter()
             .map(|&s| &seeds[s])
             .collect();
         let misfit = |seed: &Seed| {
             let lengths =
-                judges.iter().map(|&j| (self.means[j] - seed.motion.apply(self.previous[j])).length());
+                compared.iter().map(|&j| (self.means[j] - seed.motion.apply(self.previous[j])).length());
             median(&mut lengths.collect::<Vec<_>>()).unwrap_or(0.0).max(1e-9)
         };
         let misfits: Vec<f64> = near.iter().map(|s| misfit(s)).collect();

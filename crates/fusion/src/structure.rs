@@ -3,7 +3,7 @@
 use crate::config::{FusionConfig, Structure};
 use crate::correlation::correlation;
 use crate::error::FusionError;
-use crate::evidence::{Combined, Evidence, Told};
+use crate::evidence::{Combined, Evidence, TrackerEstimate};
 use crate::flexibility::Flexibility;
 use crate::groups::{Groups, discover};
 use crate::input::FusionInput;
@@ -39,7 +39,7 @@ impl Structured {
     }
 }
 
-/// Groups first; who contradicts them, or has none, takes the motion of its neighbourhood. `None` when too little was
+/// Groups first; a Gaussian that contradicts its group, or has none, takes the motion of its neighbourhood. `None` when too little was
 /// measured to say anything.
 ///
 /// # Errors
@@ -80,7 +80,7 @@ pub(crate) fn structured(
     };
     let priors: Vec<Option<Prior>> = (0..previous.len()).into_par_iter().map(by_group).collect();
     let leavers =
-        Leavers { previous, evidence, priors: &priors, scales: &scales, leave: config.groups.leave };
+        Outliers { previous, evidence, priors: &priors, scales: &scales, leave: config.groups.leave };
     let departures = leavers.find()?;
     let correlation = correlation(evidence, &priors, &scales);
     let priors: Vec<Option<Prior>> = priors.into_iter().zip(departures).map(|(p, d)| depart(p, d)).collect();
@@ -108,7 +108,7 @@ pub(crate) fn structured(
 const NEGLIGIBLE: f64 = 1e-3;
 
 /// A prior moved by a departure.
-fn depart(prior: Option<Prior>, departure: Option<Departure>) -> Option<Prior> {
+fn depart(prior: Option<Prior>, departure: Option<Deviation>) -> Option<Prior> {
     let (prior, Some(departure)) = (prior?, departure) else { return prior };
     let covariance = prior.covariance + Symmetric::scalar(departure.variance);
     Some(Prior { mean: prior.mean + departure.offset, covariance, left: true, free: true, ..prior })
@@ -150,12 +150,12 @@ fn neighbourhoods(
     Ok(wanted.iter().enumerate().map(|(i, wanted)| wanted.then(|| own(i))).collect())
 }
 
-/// Neighbours that judge whether a Gaussian's own evidence is more than an error of its trackers.
-const JUDGES: usize = 12;
+/// Neighbours by which it is judged whether a Gaussian's own evidence is more than an error of its trackers.
+const COMPARED: usize = 12;
 
-/// Who leaves its group: its own evidence contradicts the group, and most of its neighbours' evidence is nearer to its
+/// Which Gaussians leave their group: a Gaussian's own evidence contradicts the group, and most of its neighbours' evidence is nearer to its
 /// deviation than to none.
-struct Leavers<'a> {
+struct Outliers<'a> {
     previous: &'a [DVec3],
     evidence: &'a Evidence,
     priors: &'a [Option<Prior>],
@@ -166,18 +166,18 @@ struct Leavers<'a> {
 /// What the trackers of a Gaussian say together, as an offset from its prior.
 type Offset = Option<Combined>;
 
-/// How a Gaussian and those who side with it deviate from the group.
+/// How a Gaussian and the neighbours that agree with it deviate from the group.
 #[derive(Clone, Copy)]
-struct Departure {
+struct Deviation {
     /// Deviation (m).
     offset: DVec3,
     /// Its variance per axis among them (m^2).
     variance: f64,
 }
 
-impl Leavers<'_> {
-    /// (N) departures; `None` for those who stay.
-    fn find(&self) -> Result<Vec<Option<Departure>>, FusionError> {
+impl Outliers<'_> {
+    /// (N) departures; `None` for Gaussians that stay in their group.
+    fn find(&self) -> Result<Vec<Option<Deviation>>, FusionError> {
         let offsets: Vec<Offset> = (0..self.priors.len()).into_par_iter().map(|i| self.offset(i)).collect();
         let suspects: Vec<bool> =
             (0..offsets.len()).into_par_iter().map(|i| self.contradicts(i, offsets[i])).collect();
@@ -190,12 +190,12 @@ impl Leavers<'_> {
         let points: Vec<[f64; 3]> = measured.iter().map(|&i| local(i)).collect();
         let tree: ImmutableKdTree<f64, 3> =
             ImmutableKdTree::new_from_slice(&points).map_err(|e| FusionError::Index(format!("{e:?}")))?;
-        let count = NonZero::new((JUDGES + 1).min(points.len())).unwrap_or(NonZero::<usize>::MIN);
+        let count = NonZero::new((COMPARED + 1).min(points.len())).unwrap_or(NonZero::<usize>::MIN);
         let departure = |i: usize| {
             let own = offsets[i].filter(|_| suspects[i])?.mean;
             let near = tree.query(&local(i)).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-            let judges = near.iter().map(|n| measured[n.item as usize]).filter(|&j| j != i);
-            judge(own, judges.filter_map(|j| offsets[j]))
+            let compared = near.iter().map(|n| measured[n.item as usize]).filter(|&j| j != i);
+            judge(own, compared.filter_map(|j| offsets[j]))
         };
         Ok((0..offsets.len()).into_par_iter().map(departure).collect())
     }
@@ -212,7 +212,7 @@ impl Leavers<'_> {
         let expected = prior.covariance + Symmetric::scalar(prior.spread);
         let distance = |e: DVec3, covariance: Symmetric| (covariance + expected).inverse().quadratic(e);
         let scales = &self.scales[prior.scales];
-        let alone = |(l, told): (usize, &Told)| {
+        let alone = |(l, told): (usize, &TrackerEstimate)| {
             distance(told.mean - prior.mean, told.information.inverse() * scales[l])
         };
         !(distance(offset.mean, offset.covariance) <= self.leave)
@@ -224,7 +224,7 @@ impl Leavers<'_> {
 const ALONE: f64 = 0.55;
 
 /// The departure of a Gaussian with deviation `own`, if more than half of its neighbours side with it.
-fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Departure> {
+fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Deviation> {
     let (mut siding, mut all) = (vec![own], 0);
     for Combined { mean: offset, information, .. } in neighbours {
         all += 1;
@@ -238,5 +238,5 @@ fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Depar
     let axis = |a: usize| median(&mut siding.iter().map(|o| o[a]).collect::<Vec<_>>()).unwrap_or(0.0);
     let offset = DVec3::new(axis(0), axis(1), axis(2));
     let squares: f64 = siding.iter().map(|o| o.distance_squared(offset)).sum();
-    Some(Departure { offset, variance: squares / (3 * siding.len()) as f64 })
+    Some(Deviation { offset, variance: squares / (3 * siding.len()) as f64 })
 }

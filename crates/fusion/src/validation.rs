@@ -47,8 +47,8 @@ pub struct Silhouettes {
 const NARROW: f64 = 0.02;
 /// Fewest views of which one may narrowly miss a Gaussian beyond the slack.
 const FEW: u32 = 3;
-/// Gaussians that judge a mask.
-const JUDGES: usize = 4096;
+/// Gaussians by which a mask is judged.
+const SAMPLED: usize = 4096;
 /// A mask lacks its object when more than this share of what all other masks hold lies outside it.
 const LACKS: f64 = 0.5;
 /// Fewest Gaussians for such a judgement.
@@ -109,7 +109,7 @@ impl Silhouettes {
     /// # Errors
     /// As [`count_views`].
     pub fn drop_flickering(&mut self, means: &[DVec3]) -> Result<usize, FusionError> {
-        let stride = means.len().div_ceil(JUDGES).max(1);
+        let stride = means.len().div_ceil(SAMPLED).max(1);
         let judges: Vec<DVec3> = means.iter().copied().step_by(stride).collect();
         let counts = count_views(&judges, &self.cameras, &self.masks)?;
         let lacks: Vec<bool> = (0..self.cameras.len()).map(|v| self.lacks(v, &judges, &counts)).collect();

@@ -117,7 +117,7 @@ impl Gpu {
     }
 
     /// Whether the subgroup variants of the kernels run here.
-    pub fn has_subgroups(&self) -> bool {
+    pub(crate) fn has_subgroups(&self) -> bool {
         self.report.subgroups.is_some()
     }
 

@@ -30,7 +30,7 @@ pub struct AblationArgs {
 pub type Ablation = (&'static str, fn(&mut Config));
 
 /// In the order of the stages.
-pub const ABLATIONS: [Ablation; 26] = [
+pub(crate) const ABLATIONS: [Ablation; 26] = [
     ("as configured", |_| {}),
     ("literal: Algorithms 1 and 2", |c| *c = Config::literal()),
     ("literal fusion", |c| c.fusion = FusionConfig::literal()),

@@ -113,7 +113,7 @@ impl Evaluation {
     ///
     /// # Errors
     /// When the truth cannot be read.
-    pub fn bodies(&self) -> Result<Cell> {
+    pub(crate) fn bodies(&self) -> Result<Cell> {
         let (mut all, mut memory) = (Cells::new(), Memory::default());
         for frame in self.frames.clone() {
             merge(&mut all, self.frame(frame, &mut memory, &mut FlowErrors::new())?.0);

@@ -21,7 +21,7 @@ pub trait MotionMethod: Send {
     }
 
     /// Where the scene is at t, as far as it is known before training: moves, adds and removes Gaussians. The PSNR
-    /// after it is the grade of the motion initialisation. `scene.dynamic.steps` says how far each Gaussian came.
+    /// after it measures the motion initialisation. `scene.dynamic.steps` says how far each Gaussian came.
     ///
     /// # Errors
     /// When the input as a whole cannot be used. A Gaussian or view that fails is counted in `log`.
@@ -62,7 +62,7 @@ pub trait MotionMethod: Send {
     }
 }
 
-/// Who fits the scene to the photographs of a frame.
+/// What fits the scene to the photographs of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finetuning {
     /// The lanes of the trainer, from where the prediction ended.

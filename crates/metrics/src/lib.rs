@@ -7,7 +7,7 @@ mod psnr;
 mod ssim;
 
 pub use flicker::{Seen, flicker};
-pub use psnr::{MAX_PSNR, mpsnr, psnr};
+pub use psnr::{mpsnr, psnr};
 pub use ssim::{
     Border, LossAndGradient, SsimError, SsimPair, WINDOW, image_ssim, loss_3dgs, ssim, ssim_and_gradient,
 };

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 /// PSNR reported for images that agree better than this (dB). Identical images have an infinite PSNR, which JSON
 /// cannot hold and which would swallow every mean; 100 dB is a mean squared error of 1e-10, far below the 56 dB or
 /// so that rounding to 8 bits alone allows.
-pub const MAX_PSNR: f64 = 100.0;
+pub(crate) const MAX_PSNR: f64 = 100.0;
 
-/// Peak signal-to-noise ratio (dB, at most [`MAX_PSNR`]) of a render, clamped to [0, 1], against an 8-bit target.
+/// Peak signal-to-noise ratio (dB, at most 100) of a render, clamped to [0, 1], against an 8-bit target.
 ///
 /// # Errors
 /// When the images differ in size.

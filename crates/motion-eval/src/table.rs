@@ -12,7 +12,7 @@ pub struct Row {
     pub summary: Summary,
 }
 
-/// Text with one line a row: share measured, errors, calibration.
+/// Text with one line per row: share measured, errors, calibration.
 pub fn table(rows: &[Row]) -> String {
     let mut out = format!(
         "{:<34} {:>7} {:>6} {:>8} {:>8} {:>9} {:>9} {:>6} {:>6} {:>6}\n",

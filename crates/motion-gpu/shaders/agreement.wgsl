@@ -3,7 +3,7 @@
 //
 // twin: voronoi::agreement::agreement
 // test: motion-gpu/tests/parity.rs::agreement_agrees_for_one_to_three_trackers
-// bench: none
+// bench: gpu/motion_fields
 
 @group(0) @binding(0) var<uniform> job: Fields;
 // Per tracker and masked pixel: flow (px), visibility, confidence.

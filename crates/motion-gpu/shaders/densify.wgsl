@@ -4,7 +4,7 @@
 //
 // twin: voronoi::gaussian_knn::GaussianKnn
 // test: motion-gpu/tests/parity.rs::densification_agrees_for_any_number_of_tracks_and_neighbours
-// bench: none
+// bench: gpu/motion_fields
 
 struct Densify {
     // Masked pixels, tracks, and neighbours K (at most MOST_NEIGHBOURS).

@@ -4,7 +4,7 @@
 //
 // twin: rasterizer::association::Association
 // test: motion-gpu/tests/parity.rs::planes_hold_what_association_sums
-// bench: none
+// bench: gpu/motion_fields
 
 @group(0) @binding(0) var<uniform> job: Fields;
 // Masked pixels, row-major numbers.

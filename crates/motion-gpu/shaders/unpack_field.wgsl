@@ -3,7 +3,7 @@
 //
 // twin: motion-gpu::packed::Packed
 // test: motion-gpu/tests/parity.rs::agreement_agrees_for_one_to_three_trackers
-// bench: none
+// bench: gpu/motion_fields
 
 struct Unpack {
     // Middle of the flow's range, and from there to its ends (px).

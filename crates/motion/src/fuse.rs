@@ -13,7 +13,7 @@ use std::time::Instant;
 
 /// Size of a pixel at each Gaussian (m): z / f in the nearest camera that sees it.
 pub fn pixel_sizes<'a>(means: &[DVec3], cameras: impl IntoIterator<Item = &'a Camera>) -> Vec<f64> {
-    let views: Vec<Lens> = cameras.into_iter().map(Lens::new).collect();
+    let views: Vec<PixelScale> = cameras.into_iter().map(PixelScale::new).collect();
     let size = |mean: &DVec3| views.iter().fold(f64::INFINITY, |least, view| view.nearer(*mean, least));
     let sizes: Vec<f64> = means.par_iter().map(size).collect();
     let mut seen: Vec<f64> = sizes.iter().copied().filter(|s| s.is_finite()).collect();
@@ -22,21 +22,21 @@ pub fn pixel_sizes<'a>(means: &[DVec3], cameras: impl IntoIterator<Item = &'a Ca
     sizes.into_iter().map(|s| if s.is_finite() { s } else { typical }).collect()
 }
 
-/// The (upper) median size; a centimetre of none.
+/// The upper median; 0.01 m where there are no finite sizes.
 fn typical_size(sizes: &mut [f64]) -> f64 {
     let half = sizes.len() / 2;
     if sizes.is_empty() { 0.01 } else { *sizes.select_nth_unstable_by(half, f64::total_cmp).1 }
 }
 
-/// A camera with what tells the size of a pixel at a place without a projection.
-struct Lens<'a> {
+/// A camera, and the constants to compute the size of a pixel (m) at a point without projecting it.
+struct PixelScale<'a> {
     camera: &'a Camera,
     /// Viewing direction in the world.
     axis: DVec3,
     focal: f64,
 }
 
-impl<'a> Lens<'a> {
+impl<'a> PixelScale<'a> {
     fn new(camera: &'a Camera) -> Self {
         Self { camera, axis: camera.rotation().transpose().z_axis, focal: camera.intrinsics().focal() }
     }

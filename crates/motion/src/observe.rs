@@ -98,7 +98,7 @@ fn views_at_once(input: &MotionInput) -> usize {
     (FIELD_BYTES / bytes).max(1)
 }
 
-/// Fields of each view of a group, a tracker each; one step after the other for all of them, so that the times add up.
+/// Motion fields of each view of a group, one per tracker. The steps run one after the other for all views, so that the times of the stages add up.
 fn motion_fields(input: &MotionInput, group: &[usize], log: &mut StageLog) -> Result<Vec<Vec<DenseMotion>>> {
     let start = Instant::now();
     let loaded: Vec<_> = group.par_iter().map(|&v| load(input, v)).collect::<Result<_>>()?;

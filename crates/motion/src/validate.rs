@@ -7,7 +7,7 @@ use ffgs_fusion::{Silhouettes, second_chance};
 use glam::DVec3;
 use std::time::Instant;
 
-/// Lines 35 to 40: who left the masks gets one second chance beside its neighbours, then goes.
+/// Lines 35 to 40: Gaussians outside the masks are placed once more, by their neighbours' motion, and removed if they are still outside.
 pub(crate) fn validate_positions(
     input: &MotionInput,
     dynamic: &mut Dynamic,

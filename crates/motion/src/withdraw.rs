@@ -1,4 +1,5 @@
-//! What left an image was found by no tracker: its matches lie on what is still to be seen. Beyond the paper.
+//! Trackers cannot match points that left the image: their matches lie on something that is still visible. So observations that are
+//! expected outside the image are dropped. Beyond the paper.
 
 use ffgs_core::{Camera, Observations};
 use glam::DVec3;

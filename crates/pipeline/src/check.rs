@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Inventory and faults of a capture with its trackers; prints as a table.
 #[derive(Clone, Debug, Default)]
-pub struct CaptureCheck {
+pub(crate) struct CaptureCheck {
     /// The capture's content; its faults include those of the trackers.
     pub content: CheckReport,
     /// The trackers; empty for a capture without.
@@ -22,7 +22,7 @@ pub struct CaptureCheck {
 
 impl CaptureCheck {
     /// Whether a run can start.
-    pub fn is_usable(&self) -> bool {
+    pub(crate) fn is_usable(&self) -> bool {
         self.content.is_usable()
     }
 }
@@ -42,7 +42,7 @@ impl fmt::Display for CaptureCheck {
 ///
 /// # Errors
 /// When the capture cannot be opened at all; the message names file and fix.
-pub fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Result<CaptureCheck> {
+pub(crate) fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Result<CaptureCheck> {
     let capture = open_capture(root)?;
     let bar = progress_bar(quiet);
     let mut content = check_with_progress(&*capture, images, &|done, total| {

@@ -33,7 +33,7 @@ impl MethodChoice {
     ///
     /// # Errors
     /// When there is no such method.
-    pub fn suitable(parts: &Parts) -> Result<Self> {
+    pub(crate) fn suitable(parts: &Parts) -> Result<Self> {
         let plain = METHODS.items.iter().filter(|method| !method.usage.contains(':'));
         let named = |method: &Method| Self { name: method.name().to_owned(), argument: String::new() };
         let found = plain.map(|method| named(method)).find(|choice| choice.build(parts).is_ok());

@@ -112,7 +112,7 @@ impl Config {
             background: BackgroundConfig { static_method: StaticMethod::Steps, ..defaults.background },
             ..defaults
         }
-        .with_motion(MotionConfig::literal())
+        .with_motion(&MotionConfig::literal())
     }
 
     /// The settings of the motion initialisation.
@@ -131,7 +131,7 @@ impl Config {
 
     /// These settings with another motion initialisation.
     #[must_use]
-    pub fn with_motion(self, motion: MotionConfig) -> Self {
+    pub(crate) fn with_motion(self, motion: &MotionConfig) -> Self {
         Self {
             marking: motion.marking,
             voronoi: motion.voronoi,
@@ -168,8 +168,8 @@ mod tests {
     #[test]
     fn the_motion_initialisation_is_part_of_the_configuration() {
         let literal = MotionConfig::literal();
-        assert_eq!(Config::default().with_motion(literal).motion(), literal);
-        let ours = Config::literal().with_motion(MotionConfig::default());
+        assert_eq!(Config::default().with_motion(&literal).motion(), literal);
+        let ours = Config::literal().with_motion(&MotionConfig::default());
         let Config { dynamic, background, disocclusion, .. } = ours;
         assert_eq!((disocclusion.iterations, dynamic.prior_weight, dynamic.loss_dilation), (0, 0.0, 0));
         assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));

@@ -28,7 +28,7 @@ const DILATION: Range = closed(0.0, 1024.0);
 /// Counts that take memory or time each.
 const COUNT: Range = closed(1.0, 1e6);
 
-/// Keys in the order of docs/CONFIGURATION.md.
+/// Keys in the order of CONFIGURATION.md.
 const RANGES: &[(&str, Range)] = &[
     // TOML holds whole numbers up to 2^63.
     ("seed", closed(0.0, (1_u64 << 62) as f64)),

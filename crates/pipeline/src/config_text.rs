@@ -1,10 +1,10 @@
-//! The default configuration as commented TOML. The meaning of a key has one home, docs/CONFIGURATION.md.
+//! The default configuration as commented TOML. The meaning of a key has one home, CONFIGURATION.md of this crate.
 
 use crate::config::Config;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 
-const DOCUMENT: &str = include_str!("../../../docs/CONFIGURATION.md");
+const DOCUMENT: &str = include_str!("../CONFIGURATION.md");
 const HEAD: &str = "\
 # Every key. Pass a file with any of them as `ffgs run --config FILE`: keys left out keep their
 # defaults, unknown keys are errors, and command-line options win over the file.
@@ -137,7 +137,7 @@ mod tests {
         let wrong: Vec<_> = documented.difference(&keys).collect();
         assert!(
             missing.is_empty() && wrong.is_empty(),
-            "docs/CONFIGURATION.md lacks {missing:#?} and has {wrong:#?}"
+            "CONFIGURATION.md lacks {missing:#?} and has {wrong:#?}"
         );
     }
 

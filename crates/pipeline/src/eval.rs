@@ -20,7 +20,7 @@ use ffgs_report::FramePictures;
 ///
 /// # Errors
 /// When the run or its capture cannot be read, a result cannot be written, or ffmpeg fails.
-pub fn eval(args: &EvalArgs) -> Result<()> {
+pub(crate) fn eval(args: &EvalArgs) -> Result<()> {
     let (metrics, no_vmaf) = measure(args)?;
     let reason = no_vmaf.map(|reason| format!("no VMAF: {reason}\n")).unwrap_or_default();
     terminal::print((table(&metrics.frames) + &costs(&metrics.mean) + &reason).trim_end());

@@ -23,7 +23,7 @@ impl RunFolder {
     }
 
     /// What the method keeps for the next frame, where it keeps anything.
-    pub fn method_state(&self, frame: usize) -> PathBuf {
+    pub(crate) fn method_state(&self, frame: usize) -> PathBuf {
         self.frame(frame).join("method.state")
     }
 
@@ -31,7 +31,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When there is something that cannot be read.
-    pub fn read_method_state(&self, frame: usize) -> Result<Vec<u8>> {
+    pub(crate) fn read_method_state(&self, frame: usize) -> Result<Vec<u8>> {
         let path = self.method_state(frame);
         if !is_present(&path) {
             return Ok(Vec::new());
@@ -58,7 +58,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// Names the link.
-    pub fn refuse_links(&self) -> Result<()> {
+    pub(crate) fn refuse_links(&self) -> Result<()> {
         let frames = self.0.join("frames");
         refuse_link_at(&frames)?;
         for frame in entries(&frames) {
@@ -81,11 +81,11 @@ impl RunFolder {
         Ok(path)
     }
 
-    /// Removes the half-written files of runs that were killed; only for who holds the folder.
+    /// Removes the half-written files of runs that were killed; only for the process that holds the folder.
     ///
     /// # Errors
     /// When one cannot be removed.
-    pub fn remove_half_written(&self) -> Result<()> {
+    pub(crate) fn remove_half_written(&self) -> Result<()> {
         let mut folders = vec![self.0.clone()];
         for frame in entries(&self.0.join("frames")) {
             folders.extend([frame.join("test"), frame]);

@@ -27,7 +27,7 @@ pub fn select_views(capture: &dyn Capture, names: Option<&[String]>) -> Result<V
 ///
 /// # Errors
 /// When its camera, image or mask cannot be read.
-pub fn load_view(capture: &dyn Capture, at: ViewAt) -> Result<TrainingView> {
+pub(crate) fn load_view(capture: &dyn Capture, at: ViewAt) -> Result<TrainingView> {
     let (camera, image) = (capture.camera(at)?, capture.image(at)?);
     let mask = capture.mask(at)?.unwrap_or_else(|| Mask::filled(camera.size(), false));
     Ok(TrainingView { camera, image, mask })
@@ -42,6 +42,6 @@ pub fn load_training(capture: &dyn Capture, views: &[usize], frame: usize) -> Re
 }
 
 /// Cameras of the views, and their masks.
-pub fn cameras_and_masks(views: &[TrainingView]) -> (Vec<Camera>, Vec<Mask>) {
+pub(crate) fn cameras_and_masks(views: &[TrainingView]) -> (Vec<Camera>, Vec<Mask>) {
     views.iter().map(|v| (v.camera, v.mask.clone())).unzip()
 }

@@ -29,7 +29,7 @@ pub struct FolderLock {
     beats: Option<JoinHandle<()>>,
 }
 
-/// Who holds a folder.
+/// The process that holds a folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Holder {
     /// Start of the machine, unique among machines; empty where the system does not say.

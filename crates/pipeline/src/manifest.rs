@@ -95,7 +95,7 @@ impl Manifest {
     ///
     /// # Errors
     /// When the folder holds another run, or cannot be written.
-    pub fn claim(&self, folder: &RunFolder, resume: bool) -> Result<()> {
+    pub(crate) fn claim(&self, folder: &RunFolder, resume: bool) -> Result<()> {
         let (file, out) = (folder.manifest(), folder.0.display());
         if file.exists() {
             let other = read_json(&file)?;
@@ -148,7 +148,7 @@ impl Manifest {
     ///
     /// # Errors
     /// When that run is of another capture or of settings that the first frame depends on.
-    pub fn check_first_frame(&self, run: &RunFolder) -> Result<()> {
+    pub(crate) fn check_first_frame(&self, run: &RunFolder) -> Result<()> {
         let other: Self = read_json(&run.manifest()).context("--first-frame: not a run")?;
         let known = !other.capture_digest.is_empty();
         let same = if known {

@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 
 /// Our own, by their names.
 pub(crate) const FILES: [(&str, &str); 9] = [
-    ("index.html", include_str!("../../../web/index.html")),
-    ("style.css", include_str!("../../../web/style.css")),
-    ("player.js", include_str!("../../../web/player.js")),
-    ("input.js", include_str!("../../../web/input.js")),
-    ("layer.js", include_str!("../../../web/layer.js")),
-    ("overlay.js", include_str!("../../../web/overlay.js")),
-    ("record.js", include_str!("../../../web/record.js")),
-    ("sky.js", include_str!("../../../web/sky.js")),
-    ("stream.js", include_str!("../../../web/stream.js")),
+    ("index.html", include_str!("../web/index.html")),
+    ("style.css", include_str!("../web/style.css")),
+    ("player.js", include_str!("../web/player.js")),
+    ("input.js", include_str!("../web/input.js")),
+    ("layer.js", include_str!("../web/layer.js")),
+    ("overlay.js", include_str!("../web/overlay.js")),
+    ("record.js", include_str!("../web/record.js")),
+    ("sky.js", include_str!("../web/sky.js")),
+    ("stream.js", include_str!("../web/stream.js")),
 ];
 
 /// Name under which the page loads the PlayCanvas engine.

@@ -90,7 +90,7 @@ pub struct ConvertArgs {
 ///
 /// # Errors
 /// When the capture cannot be read or the folder cannot be written.
-pub fn convert(args: &ConvertArgs) -> Result<()> {
+pub(crate) fn convert(args: &ConvertArgs) -> Result<()> {
     let capture = Capture::open(&args.capture).map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?;
     ffgs_prepare::convert(&capture, args.to, args.frame, &args.out)
         .map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))
@@ -119,7 +119,7 @@ fn parse_unit(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// When the footage cannot be prepared; the message names file and fix.
-pub fn run(args: &PrepareArgs) -> Result<()> {
+pub(crate) fn run(args: &PrepareArgs) -> Result<()> {
     let request = Request {
         format: args.format.clone(),
         start: args.start,

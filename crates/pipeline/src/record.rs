@@ -36,7 +36,7 @@ pub struct FrameRecord {
     pub frame: usize,
     /// Test views.
     pub views: Vec<ViewMetrics>,
-    /// Mean foreground PSNR over the test views before any finetuning (dB): the grade of the motion initialisation.
+    /// Mean foreground PSNR over the test views before any finetuning (dB), which measures the motion initialisation.
     #[serde(default)]
     pub initial_mpsnr: Option<f64>,
     /// Gaussians of the static layer.

@@ -27,7 +27,7 @@ const ORBIT_ELEVATION: f64 = 0.3;
 ///
 /// # Errors
 /// When the run or its capture cannot be read, or a picture cannot be written.
-pub fn render(args: &RenderArgs) -> Result<()> {
+pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frame = run.choose(args.frame)?;
     let scene = run.scene(frame)?;

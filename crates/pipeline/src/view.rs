@@ -46,7 +46,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 ///
 /// # Errors
 /// When the folder is neither a run nor a stream nor a capture, or the port is taken.
-pub fn view(args: &ViewArgs) -> Result<()> {
+pub(crate) fn view(args: &ViewArgs) -> Result<()> {
     let folder = &args.folder;
     let run = RunFolder(folder.clone());
     if run.manifest().exists() {

@@ -5,7 +5,7 @@ use ffgs_core::read_text;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A hundred cameras for an hour at 100 pictures a second take a gigabyte.
+/// A hundred cameras for an hour at 100 pictures per second take a gigabyte.
 const MAX_TIMESTAMPS_BYTES: u64 = 1 << 30;
 
 /// What is known of one camera's pictures in time.
@@ -149,7 +149,7 @@ fn describe(sequences: &[Sequence], ratio: impl Fn(&Sequence) -> f64, schedule: 
     for s in sequences.iter().filter(|s| ratio(s) != 1.0) {
         let rate = s.rate.unwrap_or_default();
         schedule.assumed.push(format!(
-            "camera {} has {rate:.2} pictures a second: the nearest in time are taken",
+            "camera {} has {rate:.2} pictures per second: the nearest in time are taken",
             s.name
         ));
     }

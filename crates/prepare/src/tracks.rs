@@ -11,9 +11,24 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Folders of the two trackers below `tracks/`.
-const SPARSE: &str = "descriptors";
-const MEDIUM: &str = "lucas_kanade";
+/// A tracker of this project.
+struct Tracker {
+    /// Its name, and that of its folder below `tracks/`.
+    name: &'static str,
+    /// As `tracks.json` has it.
+    level: &'static str,
+    /// Tracks from one frame to the next; gets what the tracker before it in the list found.
+    track: fn(&Frame, &Frame, &TrackSet, &TrackerConfig) -> TrackSet,
+}
+
+const TRACKERS: [Tracker; 2] = [
+    Tracker {
+        name: "descriptors",
+        level: "sparse",
+        track: |before, now, _, config| matches(before, now, config),
+    },
+    Tracker { name: "lucas_kanade", level: "medium", track: lucas_kanade },
+];
 
 /// Tracks every view and step whose files are missing, and then lists the trackers. Returns what was done.
 pub(crate) fn make(capture: &Capture, progress: &dyn Progress) -> Result<String, PrepareError> {
@@ -25,37 +40,38 @@ pub(crate) fn make(capture: &Capture, progress: &dyn Progress) -> Result<String,
     let tick = || progress.advance("tracks", done.fetch_add(1, Ordering::Relaxed) + 1, views * (frames - 1));
     let counts: Vec<usize> =
         (0..views).into_par_iter().map(|view| track_view(capture, view, &tick)).collect::<Result<_, _>>()?;
-    let entry = |name: &str, level: &str| {
+    let entry = |Tracker { name, level, .. }: Tracker| {
         let pattern = format!("{name}/{{camera}}/{{frame:06}}.npz");
         json!({"name": name, "level": level, "format": "npz", "pattern": pattern, "pixel_center": "half"})
     };
-    let list = json!({"trackers": [entry(SPARSE, "sparse"), entry(MEDIUM, "medium")]});
+    let list = json!({"trackers": TRACKERS.map(entry)});
     write_json(&capture.root().join("tracks/tracks.json"), &list)?;
     let steps = (views * (frames - 1)).max(1);
     let mean = counts.iter().sum::<usize>() / steps;
-    Ok(format!("made: descriptors (sparse) and Lucas-Kanade (medium), {mean} tracks a view and frame"))
+    let names = TRACKERS.map(|tracker| format!("{} ({})", tracker.name, tracker.level)).join(", ");
+    Ok(format!("made: {names}; {mean} tracks per view and frame"))
 }
 
-/// Tracks of one view; the number of medium ones that were found now.
+/// Tracks of one view; the number of those of the last tracker that were found now.
 fn track_view(capture: &Capture, view: usize, tick: &(dyn Fn() + Sync)) -> Result<usize, PrepareError> {
     let config = TrackerConfig::default();
     let name = &capture.views(Split::Train)[view].name;
     let mut before: Option<(usize, Frame)> = None;
     let mut found = 0;
     for frame in 1..capture.frames() {
-        let [sparse_file, medium_file] =
-            [SPARSE, MEDIUM].map(|tracker| path(capture.root(), tracker, name, frame));
-        if !(sparse_file.exists() && medium_file.exists()) {
+        let files = TRACKERS.map(|tracker| path(capture.root(), tracker.name, name, frame));
+        if !files.iter().all(|file| file.exists()) {
             let last = match before.take() {
                 Some((at, last)) if at == frame - 1 => last,
                 _ => load(capture, view, frame - 1, &config)?,
             };
             let next = load(capture, view, frame, &config)?;
-            let sparse = matches(&last, &next, &config);
-            let medium = lucas_kanade(&last, &next, &sparse, &config);
-            found += medium.src.len();
-            write(&sparse_file, &sparse)?;
-            write(&medium_file, &medium)?;
+            let mut tracks = TrackSet::default();
+            for (tracker, file) in TRACKERS.iter().zip(&files) {
+                tracks = (tracker.track)(&last, &next, &tracks, &config);
+                write(file, &tracks)?;
+            }
+            found += tracks.src.len();
             before = Some((frame, next));
         }
         tick();

@@ -3,7 +3,7 @@
 //
 // twin: rasterizer::footprint::EntrySums
 // test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
-// bench: none
+// bench: gpu/association
 
 @compute @workgroup_size(64)
 fn footprint(

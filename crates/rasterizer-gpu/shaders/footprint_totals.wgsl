@@ -3,7 +3,7 @@
 //
 // twin: rasterizer::footprint::FootprintSums
 // test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
-// bench: none
+// bench: gpu/association
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> extents: array<vec4u>;

@@ -3,7 +3,7 @@
 //
 // twin: rasterizer::top_contributors::TopContributors
 // test: rasterizer-gpu/tests/parity.rs::footprints_and_top_contributors_agree
-// bench: none
+// bench: gpu/top_contributors
 
 @group(0) @binding(0) var<uniform> view: View;
 // K, at most 16.

@@ -94,7 +94,7 @@ impl<'a> GpuRasterizer<'a> {
     ///
     /// # Errors
     /// When the device fails or has too little memory.
-    pub fn render_uploaded(&mut self, scene: &GpuScene, view: &GpuView) -> Result<Rendered, GpuError> {
+    pub(crate) fn render_uploaded(&mut self, scene: &GpuScene, view: &GpuView) -> Result<Rendered, GpuError> {
         self.render_on_device(scene, view)?;
         let pixels = self.gpu.download(&self.scratch.pixels, view.size().pixels())?;
         let (image, transmittance) = view.unpack(&pixels);

@@ -62,7 +62,7 @@ impl GpuScene {
     ///
     /// # Errors
     /// When the device has too little memory.
-    pub fn zeros_like(&self, gpu: &Gpu) -> Result<Self, GpuError> {
+    pub(crate) fn zeros_like(&self, gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             geometry: gpu.buffer("Gaussians", self.geometry.bytes())?,
             sh: gpu.buffer("spherical harmonics", self.sh.bytes())?,

@@ -46,7 +46,7 @@ impl Capacity {
     }
 }
 
-/// Memory that renders of one lane share: 120 B a Gaussian, 4 B a span, 64 B a pair, 36 B a pixel.
+/// Memory that renders of one lane share: 120 B per Gaussian, 4 B per span, 64 B per pair, 36 B per pixel.
 #[derive(Debug)]
 pub struct Scratch {
     /// What it has room for.

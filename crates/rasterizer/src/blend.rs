@@ -69,7 +69,7 @@ fn any<S: Simd>(simd: S, mask: S::m32s) -> bool {
     simd.first_true_m32s(mask) < S::F32_LANES
 }
 
-/// Rows of a tile with a pixel that is not finished, a bit a row.
+/// Rows of a tile with a pixel that is not finished, a bit per row.
 #[derive(Clone, Copy)]
 struct OpenRows(u32);
 
@@ -103,7 +103,7 @@ const COLUMNS: [f32; TILE] =
 
 /// Rows and columns of a tile that a splat's ellipse can touch.
 struct RowRange {
-    /// A bit a row.
+    /// A bit per row.
     rows: u32,
     slope: f32,
     reach_over_a: f32,
@@ -131,6 +131,44 @@ impl RowRange {
         let half = (self.reach_over_a - dy * dy * self.shrink).max(0.0).sqrt() + 1e-2;
         (self.slope * dy - half, self.slope * dy + half)
     }
+}
+
+/// Falloff and opacity of a splat in a vector of pixels `from_ridge` off its ridge, and in which of them it shows. `least` is the exponent on
+/// the ridge, `half_a` half of the conic's first entry.
+#[inline(always)]
+fn evaluate<S: Simd>(
+    simd: S,
+    from_ridge: S::f32s,
+    least: S::f32s,
+    half_a: S::f32s,
+    opacity: S::f32s,
+) -> (S::f32s, S::f32s, S::m32s) {
+    let sigma = simd.mul_add_e_f32s(simd.mul_f32s(half_a, from_ridge), from_ridge, least);
+    let falloff = exp_negative(simd, sigma);
+    let alpha = simd.min_f32s(simd.splat_f32s(MAX_ALPHA), simd.mul_f32s(opacity, falloff));
+    let shows = simd.and_m32s(
+        simd.greater_than_or_equal_f32s(alpha, simd.splat_f32s(MIN_ALPHA)),
+        // The polynomial holds up to here, beyond every splat's reach; also false for NaN.
+        simd.less_than_f32s(sigma, simd.splat_f32s(5.6)),
+    );
+    (falloff, alpha, shows)
+}
+
+/// The transmittance behind a splat, negative where the pixel is finished now; the splat's weight; and in which pixels it counts.
+#[inline(always)]
+fn attenuate<S: Simd>(
+    simd: S,
+    t: S::f32s,
+    alpha: S::f32s,
+    shows: S::m32s,
+    least_open: S::f32s,
+) -> (S::f32s, S::f32s, S::m32s) {
+    let weight = simd.mul_f32s(alpha, t);
+    let next = simd.sub_f32s(t, weight);
+    let open = simd.greater_than_f32s(next, least_open);
+    let counts = simd.and_m32s(shows, open);
+    let closed = simd.select_f32s(shows, simd.neg_f32s(t), t);
+    (simd.select_f32s(counts, next, closed), simd.select_f32s(counts, weight, simd.splat_f32s(0.0)), counts)
 }
 
 /// Walks `slots` front to back over the tile whose first pixel is `origin`, up to the transmittance `finished`. `transmittance` starts as given (1) and
@@ -193,25 +231,13 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
                 let t = state[vector];
                 let dx = simd.add_f32s(columns[part], simd.splat_f32s(x));
                 let from_ridge = simd.sub_f32s(dx, shift);
-                let sigma = simd.mul_add_e_f32s(simd.mul_f32s(half_a_, from_ridge), from_ridge, least);
-                let falloff = exp_negative(simd, sigma);
-                let alpha = simd.min_f32s(simd.splat_f32s(MAX_ALPHA), simd.mul_f32s(opacity, falloff));
-                let shows = simd.and_m32s(
-                    simd.greater_than_or_equal_f32s(alpha, simd.splat_f32s(MIN_ALPHA)),
-                    // The polynomial holds up to here, beyond every splat's reach; also false for NaN.
-                    simd.less_than_f32s(sigma, simd.splat_f32s(5.6)),
-                );
+                let (falloff, alpha, shows) = evaluate(simd, from_ridge, least, half_a_, opacity);
                 let shows = simd.and_m32s(shows, simd.greater_than_f32s(t, zero));
                 if vectors > 1 && !any(simd, shows) {
                     continue;
                 }
-                let weight = simd.mul_f32s(alpha, t);
-                let next = simd.sub_f32s(t, weight);
-                let open = simd.greater_than_f32s(next, least_open);
-                let counts = simd.and_m32s(shows, open);
-                let closed = simd.select_f32s(shows, simd.neg_f32s(t), t);
-                state[vector] = simd.select_f32s(counts, next, closed);
-                let weight = simd.select_f32s(counts, weight, zero);
+                let (next, weight, counts) = attenuate(simd, t, alpha, shows, least_open);
+                state[vector] = next;
                 let contribution = Contribution {
                     vector,
                     from_ridge,

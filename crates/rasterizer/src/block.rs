@@ -7,7 +7,7 @@ use crate::projection::{Extent, PinholeF32, Splat, offset, splat};
 use ffgs_core::Gaussians;
 use glam::Vec3;
 
-/// Gaussians a block: one AVX-512 register, two of AVX2.
+/// Gaussians per block: one AVX-512 register, two of AVX2.
 pub(crate) const BLOCK: usize = 16;
 
 /// One value of each Gaussian of a block.

@@ -147,7 +147,7 @@ impl CpuRasterizer {
     }
 }
 
-/// Whose footprints are summed.
+/// Gaussians whose footprints are summed.
 pub(crate) struct Summed<'a> {
     /// All that is rendered.
     pub(crate) gaussians: &'a Gaussians,

@@ -90,7 +90,7 @@ impl Thumbnails {
 
 /// Colour-mapped mean absolute difference over the channels: black = equal, bright = a quarter of the range or more.
 /// `None` when the sizes differ.
-pub fn error_map(a: &ImageRgb8, b: &ImageRgb8) -> Option<ImageRgb8> {
+pub(crate) fn error_map(a: &ImageRgb8, b: &ImageRgb8) -> Option<ImageRgb8> {
     let colours: Vec<[u8; 3]> =
         (0..=3 * 255).map(|sum| inferno(f64::from(sum) / (3.0 * ERROR_RANGE))).collect();
     let difference = |(a, b): (&[u8; 3], &[u8; 3])| {

@@ -52,7 +52,11 @@ const BOUNDS: [&str; 18] = [
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-pub fn write_compressed_ply(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
+pub(crate) fn write_compressed_ply(
+    path: &Path,
+    gaussians: &Gaussians,
+    mode: RenderMode,
+) -> Result<(), SplatError> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
     let chunks: Vec<Range<usize>> = (0..gaussians.len())
         .step_by(CHUNK)

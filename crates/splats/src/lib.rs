@@ -20,7 +20,6 @@ mod sog;
 mod spz;
 
 pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
-pub use compressed_ply::write_compressed_ply;
 pub use error::{Problem, SplatError};
 pub use ffgs_method::{Followed, RenderMode};
 pub use formats::FORMATS;
@@ -28,8 +27,6 @@ pub use glb::write_glb;
 pub use ply_read::{PlySplats, read_ply};
 pub use ply_write::write_ply;
 pub use sky::{
-    Panorama, SKY_FACES, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular,
-    write_sky_faces,
+    Panorama, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular, write_sky_faces,
 };
-pub use sog::write_sog;
-pub use spz::{ShBits, decode_spz, encode_spz, read_spz, write_spz};
+pub use spz::{ShBits, decode_spz, encode_spz, read_spz};

@@ -9,7 +9,7 @@ use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
 /// Names of the cube faces in the order of the texture.
-pub const SKY_FACES: [&str; 6] = ["px", "nx", "py", "ny", "pz", "nz"];
+pub(crate) const SKY_FACES: [&str; 6] = ["px", "nx", "py", "ny", "pz", "nz"];
 
 /// Of 100: artefacts are not visible in a smooth sky.
 const JPEG_QUALITY: u8 = 85;
@@ -19,7 +19,7 @@ const CROSS: [(u32, u32); 6] = [(2, 1), (0, 1), (1, 0), (1, 2), (1, 1), (3, 1)];
 
 /// Writes the sky as six 8-bit PNGs `sky_px.png` .. `sky_nz.png` into `folder` and returns their paths.
 ///
-/// `texels` holds 6 * face_size^2 * 3 values: face ([`SKY_FACES`]), row, column, RGB; clamped to [0, 1].
+/// `texels` holds 6 * face_size^2 * 3 values: face (+x, -x, +y, -y, +z, -z), row, column, RGB; clamped to [0, 1].
 ///
 /// # Errors
 /// When a file cannot be written.

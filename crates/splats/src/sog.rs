@@ -36,7 +36,7 @@ const MAX_EDGE: usize = 16_383;
 ///
 /// # Errors
 /// When the columns do not match, there are more Gaussians than a texture holds, or the file cannot be written.
-pub fn write_sog(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
+pub(crate) fn write_sog(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
     let bytes = bundle(gaussians, mode).in_file(path)?;
     write_atomically(path, |out| out.write_all(&bytes)).in_file(path)

@@ -66,7 +66,7 @@ impl Default for ShBits {
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-pub fn write_spz(
+pub(crate) fn write_spz(
     path: &Path,
     gaussians: &Gaussians,
     mode: RenderMode,

@@ -4,7 +4,7 @@
 //
 // twin: trainer::prior::Penalty
 // test: trainer-gpu/src/tests.rs::the_pull_of_the_prior_agrees
-// bench: none
+// bench: gpu/prior
 
 @group(0) @binding(0) var<uniform> prior: Prior;
 @group(0) @binding(1) var<uniform> loss: Loss;

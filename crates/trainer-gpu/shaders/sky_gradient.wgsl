@@ -4,7 +4,7 @@
 //
 // twin: trainer::sky::TexelGradients
 // test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
-// bench: none
+// bench: gpu/sky_lane
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> sky: Sky;

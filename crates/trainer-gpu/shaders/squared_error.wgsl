@@ -3,7 +3,7 @@
 //
 // twin: trainer::cpu::sky::residual
 // test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
-// bench: none
+// bench: gpu/sky_lane
 
 @group(0) @binding(0) var<uniform> loss: Loss;
 @group(0) @binding(1) var<storage, read> slots: array<vec4u>;

@@ -5,11 +5,11 @@ use ffgs_rasterizer::{TILE, TileMask};
 use ffgs_rasterizer_gpu::GpuView;
 use ffgs_trainer::SSIM_WEIGHT;
 
-/// A photograph on the device (8 bits a channel) with the view it was taken from and the pixels that count.
+/// A photograph on the device (8 bits per channel) with the view it was taken from and the pixels that count.
 pub(crate) struct Target {
     pub view: GpuView,
     pub photograph: Buffer,
-    /// One bit a pixel, row by row.
+    /// One bit per pixel, row by row.
     pub region: Buffer,
     pub loss: Buffer,
 }

@@ -119,7 +119,7 @@ impl Adam {
     }
 
     /// The same without memory for the columns that do not move. Such a set keeps its Gaussians.
-    pub fn of_columns(n: usize, sh_degree: usize, columns: Columns) -> Self {
+    pub(crate) fn of_columns(n: usize, sh_degree: usize, columns: Columns) -> Self {
         let moments = || {
             let rows = |moves: bool| if moves { n } else { 0 };
             let mut moments = Gaussians::zeros(0, sh_degree);
@@ -210,7 +210,7 @@ impl Adam {
     }
 
     /// Appends `n` Gaussians with zero moments and no steps.
-    pub fn append_zeros(&mut self, n: usize) {
+    pub(crate) fn append_zeros(&mut self, n: usize) {
         let zeros = Gaussians::zeros(n, self.first.sh_degree());
         self.first.extend(&zeros);
         self.second.extend(&zeros);

@@ -183,7 +183,7 @@ pub struct TaskView<'a> {
 
 impl<'a> TaskView<'a> {
     /// A view of which the pixels of `region` count.
-    pub fn of_region(view: &'a TrainingView, region: Mask) -> Self {
+    pub(crate) fn of_region(view: &'a TrainingView, region: Mask) -> Self {
         Self { view, region: Some(region), tiles: None }
     }
 }

@@ -75,7 +75,7 @@ impl Default for BackgroundConfig {
 
 impl BackgroundConfig {
     /// Step sizes of the method `steps`: colours only.
-    pub fn static_rates(&self) -> LearningRates {
+    pub(crate) fn static_rates(&self) -> LearningRates {
         LearningRates {
             means: 0.0,
             quats: 0.0,

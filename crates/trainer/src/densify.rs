@@ -188,7 +188,13 @@ impl DensityControl {
 
     /// From Gaussian `first` on, invisible ones become children of those with the largest gradients, which are split:
     /// the number of Gaussians stays.
-    pub fn reuse(&mut self, gaussians: &mut Gaussians, sums: &GradientSums, first: usize, extent: f32) {
+    pub(crate) fn reuse(
+        &mut self,
+        gaussians: &mut Gaussians,
+        sums: &GradientSums,
+        first: usize,
+        extent: f32,
+    ) {
         let count = gaussians.len();
         let invisible = |i: usize| self.is_pruned(gaussians, extent, i);
         let barred: Vec<bool> = (0..count).map(|i| i < first || invisible(i)).collect();
@@ -226,7 +232,7 @@ fn largest_scale(gaussians: &Gaussians, i: usize) -> f32 {
 }
 
 /// Lowers every opacity to at most `ceiling` (3DGS: 0.01); call `Adam::reset_opacity` with it.
-pub fn reset_opacities(gaussians: &mut Gaussians, ceiling: f32) {
+pub(crate) fn reset_opacities(gaussians: &mut Gaussians, ceiling: f32) {
     let limit = logit(ceiling);
     gaussians.opacity_logits.iter_mut().for_each(|o| *o = o.min(limit));
 }

@@ -30,9 +30,7 @@ pub use backend::{
 };
 pub use background::{BackgroundConfig, StaticMethod};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
-pub use densify::{
-    DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal, reset_opacities,
-};
+pub use densify::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal};
 pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};

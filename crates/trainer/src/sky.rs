@@ -106,7 +106,7 @@ impl SkyView {
     }
 
     /// Replaces the camera; allocates only for a larger image.
-    pub fn aim(&mut self, camera: &Camera) {
+    pub(crate) fn aim(&mut self, camera: &Camera) {
         self.size = camera.size();
         self.samples.resize(self.size.pixels(), Sample::default());
         let (rays, face_size) = (Rays::new(camera), self.face_size);

@@ -66,7 +66,7 @@ impl TriangulationConfig {
     }
 
     /// Whether every number is usable.
-    pub fn is_valid(&self) -> bool {
+    pub(crate) fn is_valid(&self) -> bool {
         let not_negative = [self.collinear_degrees, self.collinear_min_sigma, self.pooled_degrees];
         let positive = [
             self.outlier_soft_px,

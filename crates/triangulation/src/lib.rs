@@ -5,8 +5,8 @@
 //! number of threads.
 //!
 //! A vector holds several Gaussians, one per lane, and every loop runs over the views that any of them was observed in, whose
-//! camera is broadcast. A lane's sums do not depend on the other lanes. Gaussians are grouped so that the lanes of a group
-//! are busy for as long: first by the views that observed them, then by the number of views that will probably be removed.
+//! camera is broadcast. A lane's sums do not depend on the other lanes. Gaussians with similar numbers of views share a
+//! vector, so that its lanes finish together: they are sorted by the views that observed them, then by the number of views that will probably be removed.
 //!
 //! What it costs, at the least: 24 bytes read for each observation; a sum over the views of about 60 operations each for
 //! every re-weighting of the rays, Gauss-Newton step and removed view; and 36 shorter ones where most views do not agree.
@@ -39,8 +39,8 @@ mod normal;
 mod passes;
 #[cfg(test)]
 mod problems;
-mod real;
 mod robust;
+mod simd;
 mod solve;
 mod views;
 mod weighted_rays;

@@ -1,4 +1,4 @@
-//! Problems of every unpleasant kind for the tests.
+//! Problems of every difficult kind for the tests.
 
 use ffgs_core::{Camera, ImageSize, Intrinsics, Observations};
 use ffgs_testkit::look_at;
@@ -13,14 +13,14 @@ pub(crate) struct Problems {
     pub observations: Observations,
 }
 
-/// What is the matter with a problem.
+/// What makes a problem hard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Trouble {
+pub(crate) enum Difficulty {
     /// Nothing but noise and gross outliers.
     Outliers,
     /// Two or three views.
     FewViews,
-    /// A target that is no number.
+    /// A target that is NaN.
     NanTarget,
     InfiniteWeight,
     /// A previous mean tens of metres off, behind some cameras.
@@ -37,7 +37,7 @@ pub(crate) enum Trouble {
     OnePlace,
 }
 
-impl Trouble {
+impl Difficulty {
     const ALL: [Self; 10] = [
         Self::Outliers,
         Self::FewViews,
@@ -85,20 +85,20 @@ fn ball(rng: &mut ChaCha8Rng, radius: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|_| rng.random_range(-radius..radius)))
 }
 
-/// `count` problems with a share of gross outliers and uniform noise of up to 1 px an axis, the kinds of [`Trouble`] in turn.
-pub(crate) fn unpleasant(seed: u64, count: usize, outliers: f64) -> Problems {
+/// `count` problems with a share of gross outliers and uniform noise of up to 1 px an axis, the kinds of [`Difficulty`] in turn.
+pub(crate) fn difficult(seed: u64, count: usize, outliers: f64) -> Problems {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let cameras = cameras(&mut rng);
     let mut observations = Observations::unobserved(VIEWS, count);
     let mut previous = Vec::with_capacity(count);
     for i in 0..count {
-        let trouble = Trouble::of(i);
-        let truth = match trouble {
-            Trouble::NearCamera => cameras[4].center() + ball(&mut rng, 0.2) - DVec3::splat(0.25),
-            Trouble::BehindCameras => DVec3::new(60.0, 30.0, 2.0) + ball(&mut rng, 5.0),
+        let difficulty = Difficulty::of(i);
+        let truth = match difficulty {
+            Difficulty::NearCamera => cameras[4].center() + ball(&mut rng, 0.2) - DVec3::splat(0.25),
+            Difficulty::BehindCameras => DVec3::new(60.0, 30.0, 2.0) + ball(&mut rng, 5.0),
             _ => ball(&mut rng, 1.5),
         };
-        let off = if trouble == Trouble::FarOff { 60.0 } else { 1.0 };
+        let off = if difficulty == Difficulty::FarOff { 60.0 } else { 1.0 };
         previous.push(truth + ball(&mut rng, off));
         for (v, camera) in cameras.iter().enumerate() {
             let seen = camera.camera_from_world().transform_point3(truth);
@@ -106,11 +106,12 @@ pub(crate) fn unpleasant(seed: u64, count: usize, outliers: f64) -> Problems {
             let pixel = DVec2::new(k.fx * seen.x, k.fy * seen.y) / seen.z + DVec2::new(k.cx, k.cy);
             let wild = rng.random::<f64>() < outliers;
             let error = ball(&mut rng, if wild { 80.0 } else { 1.0 });
-            let shown = rng.random::<f64>() < 0.7 && (seen.z > 0.0 || trouble == Trouble::BehindCameras);
+            let shown =
+                rng.random::<f64>() < 0.7 && (seen.z > 0.0 || difficulty == Difficulty::BehindCameras);
             observations.targets[v * count + i] = pixel + error.truncate();
             observations.weights[v * count + i] = if shown { rng.random_range(0.1..=1.0) } else { 0.0 };
         }
-        spoil(&mut observations, i, trouble, cameras[2].project(truth).zip(cameras[3].project(truth)));
+        spoil(&mut observations, i, difficulty, cameras[2].project(truth).zip(cameras[3].project(truth)));
     }
     Problems { previous, cameras, observations }
 }
@@ -118,28 +119,28 @@ pub(crate) fn unpleasant(seed: u64, count: usize, outliers: f64) -> Problems {
 fn spoil(
     observations: &mut Observations,
     i: usize,
-    trouble: Trouble,
+    difficulty: Difficulty,
     one_place: Option<(ffgs_core::Projection, ffgs_core::Projection)>,
 ) {
     let (count, Observations { targets, weights, .. }) = (observations.gaussians, observations);
     let at = |v: usize| v * count + i;
-    let victim = at(i / Trouble::ALL.len() % VIEWS);
+    let victim = at(i / Difficulty::ALL.len() % VIEWS);
     let mut keep = |wanted: &dyn Fn(usize) -> bool| {
         (0..VIEWS).for_each(|v| weights[at(v)] = if wanted(v) { 1.0 } else { 0.0 });
     };
-    match trouble {
-        Trouble::FewViews => keep(&|v| v % 5 == i / 10 % 5),
-        Trouble::ParallelRays => keep(&|v| v < 2),
-        Trouble::OnePlace => keep(&|v| v == 2 || v == 3),
-        Trouble::NearCamera => weights[at(4)] = 1.0,
+    match difficulty {
+        Difficulty::FewViews => keep(&|v| v % 5 == i / 10 % 5),
+        Difficulty::ParallelRays => keep(&|v| v < 2),
+        Difficulty::OnePlace => keep(&|v| v == 2 || v == 3),
+        Difficulty::NearCamera => weights[at(4)] = 1.0,
         _ => {}
     }
-    match trouble {
-        Trouble::NanTarget => targets[victim] = DVec2::NAN,
-        Trouble::InfiniteWeight => weights[victim] = f64::INFINITY,
-        Trouble::AbsurdTarget => targets[victim] = DVec2::splat(1e12),
-        Trouble::ParallelRays => targets[at(1)] = targets[at(0)],
-        Trouble::OnePlace => {
+    match difficulty {
+        Difficulty::NanTarget => targets[victim] = DVec2::NAN,
+        Difficulty::InfiniteWeight => weights[victim] = f64::INFINITY,
+        Difficulty::AbsurdTarget => targets[victim] = DVec2::splat(1e12),
+        Difficulty::ParallelRays => targets[at(1)] = targets[at(0)],
+        Difficulty::OnePlace => {
             if let Some((a, b)) = one_place {
                 (targets[at(2)], targets[at(3)]) = (a.pixel, b.pixel);
             }

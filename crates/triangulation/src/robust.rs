@@ -1,6 +1,6 @@
 use crate::normal::Normal;
-use crate::passes::{RayWeights, Survey, squared_error};
-use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
+use crate::passes::{Agreement, RayWeights, squared_error};
+use crate::simd::{F64s, LaneMask, Lanes, MAX_LANES, all3, dot, minus};
 use crate::views::{LensLanes, Views};
 use pulp::{Simd, WithSimd};
 
@@ -13,13 +13,13 @@ pub(crate) struct Scales {
     pub cut: f64,
 }
 
-/// Iterations of the soft re-weighting; it only has to land in the basin of the inliers.
+/// Iterations of the soft re-weighting; it only has to end in the basin of the inliers.
 const SOFT_STEPS: usize = 6;
-/// Relative step (of the distance to the cameras) at which it has landed: a fifth of a pixel with f = 2000 px, where the
+/// Relative step (of the distance to the cameras) at which it has converged: a fifth of a pixel with f = 2000 px, where the
 /// cut is 4 px.
-const LANDED: f64 = 1e-4;
-/// So many views do not agree by chance when they are three quarters of all.
-const SURE: f64 = 5.0;
+const CONVERGED: f64 = 1e-4;
+/// From so many views on, three quarters of them that agree are taken for the inliers: chance does not bring that about.
+const MAJORITY_VIEWS: f64 = 5.0;
 /// Pairs of views tried when the re-weighted solution still has outliers. With 15 % outliers 72 % of pairs are clean.
 const MAX_PAIRS: usize = 36;
 
@@ -30,21 +30,21 @@ const MAX_PAIRS: usize = 36;
 #[inline(always)]
 pub(crate) fn locate<S: Simd>(
     views: &Views<S>,
-    lanes: Truth<S>,
-    start: [Real<S>; 3],
+    lanes: LaneMask<S>,
+    start: [F64s<S>; 3],
     scales: Scales,
-) -> ([Real<S>; 3], Survey<S>) {
-    let soft = soften(views, lanes, start, scales.soft);
+) -> ([F64s<S>; 3], Agreement<S>) {
+    let soft = reweight(views, lanes, start, scales.soft);
     let cut2 = views.number(scales.cut * scales.cut);
-    let survey = views.survey(soft, cut2);
-    let most = survey.agreeing.above(views.number(SURE - 1.0))
-        & (views.number(3.0) * views.count).up_to(views.number(4.0) * survey.agreeing);
-    let sure = views.number(3.0).above(views.count) | views.count.up_to(survey.agreeing) | most;
-    let unsure = lanes.except(sure);
+    let agreement = views.agreement(soft, cut2);
+    let most = agreement.agreeing.gt(views.number(MAJORITY_VIEWS - 1.0))
+        & (views.number(3.0) * views.count).le(views.number(4.0) * agreement.agreeing);
+    let sure = views.number(3.0).gt(views.count) | views.count.le(agreement.agreeing) | most;
+    let unsure = lanes.and_not(sure);
     if !unsure.any() {
-        return (soft, survey);
+        return (soft, agreement);
     }
-    let (mut best, mut least) = (soft, survey.truncated);
+    let (mut best, mut least) = (soft, agreement.truncated);
     for lane in unsure.lanes() {
         let found = views.simd.vectorize(PairSearch { views, lane, cut2: scales.cut * scales.cut, least });
         if let Some((point, cost)) = found {
@@ -52,29 +52,29 @@ pub(crate) fn locate<S: Simd>(
             (0..3).for_each(|axis| best[axis].set_lane(lane, point[axis]));
         }
     }
-    let polished = soften(views, unsure, best, scales.soft);
-    let better = views.survey(polished, cut2).truncated.up_to(least);
+    let polished = reweight(views, unsure, best, scales.soft);
+    let better = views.agreement(polished, cut2).truncated.le(least);
     let point = better.select3(polished, best);
-    (point, views.survey(point, cut2))
+    (point, views.agreement(point, cut2))
 }
 
 /// Iteratively re-weighted rays with weights `1 / (1 + (r / scale)^2)`, in the given lanes.
 #[inline(always)]
-pub(crate) fn soften<S: Simd>(
+pub(crate) fn reweight<S: Simd>(
     views: &Views<S>,
-    lanes: Truth<S>,
-    start: [Real<S>; 3],
+    lanes: LaneMask<S>,
+    start: [F64s<S>; 3],
     scale: f64,
-) -> [Real<S>; 3] {
+) -> [F64s<S>; 3] {
     let weights = RayWeights::Soft(views.number(1.0 / (scale * scale)));
-    let near = views.number(LANDED) * views.scale;
+    let near = views.number(CONVERGED) * views.scale;
     let (mut point, mut moving) = (start, lanes);
     for _ in 0..SOFT_STEPS {
         let (next, solved) = views.meet(point, weights).solve(views.simd);
         moving = moving & solved;
         let step = minus(next, point);
         point = moving.select3(next, point);
-        moving = moving.except(dot(step, step).sqrt().up_to(near));
+        moving = moving.and_not(dot(step, step).sqrt().le(near));
         if !moving.any() {
             break;
         }
@@ -83,8 +83,8 @@ pub(crate) fn soften<S: Simd>(
 }
 
 /// A view of the one Gaussian at hand.
-struct Sight {
-    lens: usize,
+struct ViewRay {
+    view_camera: usize,
     target: [f64; 2],
     weight: f64,
     ray: [f64; 3],
@@ -96,7 +96,7 @@ struct PairSearch<'a, 'b, S: Simd> {
     views: &'a Views<'b, S>,
     lane: usize,
     cut2: f64,
-    least: Real<S>,
+    least: F64s<S>,
 }
 
 impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
@@ -104,8 +104,8 @@ impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
 
     #[inline(always)]
     fn with_simd<T: Simd>(self, _: T) -> Self::Output {
-        let sights = self.sights();
-        let mut pairs = Pairs::of(sights.len());
+        let view_rays = self.view_rays();
+        let mut pairs = Pairs::of(view_rays.len());
         let (mut least, mut best) = (self.least.lane(self.lane), None);
         loop {
             let mut batch = [(0, 0); MAX_LANES];
@@ -118,8 +118,8 @@ impl<S: Simd> WithSimd for PairSearch<'_, '_, S> {
             if used == 0 {
                 return best;
             }
-            let (points, sound) = self.intersect(&sights, &batch);
-            let costs = self.truncated(&sights, points, least).to_lanes();
+            let (points, sound) = self.intersect(&view_rays, &batch);
+            let costs = self.truncated(&view_rays, points, least).to_lanes();
             for lane in sound.lanes() {
                 if lane < used && costs[lane] < least {
                     least = costs[lane];
@@ -138,7 +138,7 @@ impl<S: Simd> PairSearch<'_, '_, S> {
     }
 
     #[inline(always)]
-    fn sights(&self) -> Vec<Sight> {
+    fn view_rays(&self) -> Vec<ViewRay> {
         let Self { views, lane, .. } = *self;
         let origin = self.previous();
         let mut out = Vec::with_capacity(views.rows.len());
@@ -147,8 +147,8 @@ impl<S: Simd> PairSearch<'_, '_, S> {
             if weight > 0.0 {
                 let target = [row.target[0].lane(lane), row.target[1].lane(lane)];
                 let ray = [row.ray[0].lane(lane), row.ray[1].lane(lane), row.ray[2].lane(lane)];
-                let center = views.lenses[row.lens].center_from(origin);
-                out.push(Sight { lens: row.lens, target, weight, ray, center });
+                let center = views.view_cameras[row.view_camera].center_from(origin);
+                out.push(ViewRay { view_camera: row.view_camera, target, weight, ray, center });
             }
         }
         out
@@ -156,46 +156,55 @@ impl<S: Simd> PairSearch<'_, '_, S> {
 
     /// Points nearest to two rays: `W_a + W_b` is singular only where they are parallel.
     #[inline(always)]
-    fn intersect(&self, sights: &[Sight], pairs: &[(usize, usize); MAX_LANES]) -> ([Real<S>; 3], Truth<S>) {
+    fn intersect(
+        &self,
+        view_rays: &[ViewRay],
+        pairs: &[(usize, usize); MAX_LANES],
+    ) -> ([F64s<S>; 3], LaneMask<S>) {
         let simd = self.views.simd;
         let mut normal = Normal::zero(simd);
         for side in 0..2 {
             let (mut ray, mut center): ([Lanes; 3], [Lanes; 3]) = Default::default();
             for lane in 0..S::F64_LANES {
-                let sight = &sights[if side == 0 { pairs[lane].0 } else { pairs[lane].1 }];
+                let sight = &view_rays[if side == 0 { pairs[lane].0 } else { pairs[lane].1 }];
                 for axis in 0..3 {
                     ray[axis][lane] = sight.ray[axis];
                     center[axis][lane] = sight.center[axis];
                 }
             }
-            let zero = Real::all(simd, 0.0);
+            let zero = F64s::all(simd, 0.0);
             let (mut d, mut c) = ([zero; 3], [zero; 3]);
             for axis in 0..3 {
-                d[axis] = Real::from_lanes(simd, &ray[axis]);
-                c[axis] = Real::from_lanes(simd, &center[axis]);
+                d[axis] = F64s::from_lanes(simd, &ray[axis]);
+                c[axis] = F64s::from_lanes(simd, &center[axis]);
             }
-            normal.add_line(d, c, Real::all(simd, 1.0));
+            normal.add_line(d, c, F64s::all(simd, 1.0));
         }
         normal.solve(simd)
     }
 
     /// `sum w min(r^2, cut^2)` of each point; it only grows, so the rest is left out where no point is better than `least`.
     #[inline(always)]
-    fn truncated(&self, sights: &[Sight], points: [Real<S>; 3], least: f64) -> Real<S> {
+    fn truncated(&self, view_rays: &[ViewRay], points: [F64s<S>; 3], least: f64) -> F64s<S> {
         let simd = self.views.simd;
-        let cut2 = Real::all(simd, self.cut2);
-        let mut cost = Real::all(simd, 0.0);
-        for (k, sight) in sights.iter().enumerate() {
-            if k % 8 == 0 && !Real::all(simd, least).above(cost).any() {
+        let cut2 = F64s::all(simd, self.cut2);
+        let mut cost = F64s::all(simd, 0.0);
+        for (k, sight) in view_rays.iter().enumerate() {
+            if k % 8 == 0 && !F64s::all(simd, least).gt(cost).any() {
                 break;
             }
-            let lens = LensLanes {
+            let view_camera = LensLanes {
                 center: all3(simd, sight.center),
-                ..LensLanes::new(simd, &self.views.lenses[sight.lens], [cost; 3])
+                ..LensLanes::new(simd, &self.views.view_cameras[sight.view_camera], [cost; 3])
             };
-            let target = [Real::all(simd, sight.target[0]), Real::all(simd, sight.target[1])];
-            let error = squared_error(simd, &lens, target, lens.turn(minus(points, lens.center)));
-            cost = Real::all(simd, sight.weight).times_plus(cut2.above(error).select(error, cut2), cost);
+            let target = [F64s::all(simd, sight.target[0]), F64s::all(simd, sight.target[1])];
+            let error = squared_error(
+                simd,
+                &view_camera,
+                target,
+                view_camera.turn(minus(points, view_camera.center)),
+            );
+            cost = F64s::all(simd, sight.weight).mul_add(cut2.gt(error).select(error, cut2), cost);
         }
         cost
     }

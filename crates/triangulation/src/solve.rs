@@ -1,8 +1,8 @@
 use crate::config::TriangulationConfig;
 use crate::normal::Normal;
 use crate::passes::{Fit, NEAR2, RayWeights};
-use crate::real::{MAX_LANES, Real, Truth, dot, plus};
 use crate::robust::{self, Scales};
+use crate::simd::{F64s, LaneMask, MAX_LANES, dot, plus};
 use crate::views::Views;
 use ffgs_core::EstimateStatus;
 use glam::{DMat3, DVec3};
@@ -26,24 +26,24 @@ pub(crate) struct Solution {
 /// As [`Solution`], of the Gaussians of all lanes.
 #[derive(Clone, Copy)]
 struct Summary<S: Simd> {
-    step: [Real<S>; 3],
+    step: [F64s<S>; 3],
     /// xx, xy, xz, yy, yz, zz.
-    unit_covariance: [Real<S>; 6],
-    residuals: Real<S>,
-    views: Real<S>,
+    unit_covariance: [F64s<S>; 6],
+    residuals: F64s<S>,
+    views: F64s<S>,
 }
 
-/// Which lanes still hope for a solution, and why the others do not.
-struct Fates<S: Simd> {
-    alive: Truth<S>,
+/// Which lanes are still being solved, and why the others are not.
+struct LaneStates<S: Simd> {
+    alive: LaneMask<S>,
     status: [EstimateStatus; MAX_LANES],
 }
 
-impl<S: Simd> Fates<S> {
+impl<S: Simd> LaneStates<S> {
     /// Every lane with a Gaussian is alive.
     #[inline(always)]
     fn new(views: &Views<S>) -> Self {
-        let alive = views.count.above(views.number(0.0));
+        let alive = views.count.gt(views.number(0.0));
         let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
         alive.lanes().for_each(|lane| status[lane] = EstimateStatus::Ok);
         Self { alive, status }
@@ -51,7 +51,7 @@ impl<S: Simd> Fates<S> {
 
     /// The lanes that have a first guess are alive.
     #[inline(always)]
-    fn after(views: &Views<S>, starts: &[Start]) -> (Self, [Real<S>; 3]) {
+    fn after(views: &Views<S>, starts: &[Start]) -> (Self, [F64s<S>; 3]) {
         let mut status = [EstimateStatus::TooFewViews; MAX_LANES];
         let (mut alive, mut points) = ([0.0; MAX_LANES], [[0.0; MAX_LANES]; 3]);
         for (lane, start) in starts.iter().enumerate() {
@@ -65,9 +65,9 @@ impl<S: Simd> Fates<S> {
         }
         let mut point = [views.number(0.0); 3];
         for axis in 0..3 {
-            point[axis] = Real::from_lanes(views.simd, &points[axis]);
+            point[axis] = F64s::from_lanes(views.simd, &points[axis]);
         }
-        (Self { alive: Real::from_lanes(views.simd, &alive).above(views.number(0.0)), status }, point)
+        (Self { alive: F64s::from_lanes(views.simd, &alive).gt(views.number(0.0)), status }, point)
     }
 
     #[inline(always)]
@@ -77,11 +77,11 @@ impl<S: Simd> Fates<S> {
 
     /// Gives up the lanes among those alive.
     #[inline(always)]
-    fn fail(&mut self, lanes: Truth<S>, status: EstimateStatus) {
+    fn fail(&mut self, lanes: LaneMask<S>, status: EstimateStatus) {
         let lanes = lanes & self.alive;
         if lanes.any() {
             lanes.lanes().for_each(|lane| self.status[lane] = status);
-            self.alive = self.alive.except(lanes);
+            self.alive = self.alive.and_not(lanes);
         }
     }
 }
@@ -108,16 +108,16 @@ pub(crate) fn begin<S: Simd>(
     scales: Scales,
     out: &mut [Start],
 ) {
-    let mut fates = Fates::new(views);
-    fates.fail(views.number(2.0).above(views.count), EstimateStatus::TooFewViews);
-    let mut point = ray_start(views, config, &mut fates);
+    let mut states = LaneStates::new(views);
+    states.fail(views.number(2.0).gt(views.count), EstimateStatus::TooFewViews);
+    let mut point = ray_start(views, config, &mut states);
     let mut doubtful = views.number(0.0);
     if config.robust {
-        (point, doubtful) = consensus(views, point, scales, &mut fates);
+        (point, doubtful) = consensus(views, point, scales, &mut states);
     }
     for (lane, out) in out.iter_mut().enumerate() {
         let start = [point[0].lane(lane), point[1].lane(lane), point[2].lane(lane)];
-        *out = Start { point: fates.outcome(lane).map(|()| start), doubtful: doubtful.lane(lane) as u32 };
+        *out = Start { point: states.outcome(lane).map(|()| start), doubtful: doubtful.lane(lane) as u32 };
     }
 }
 
@@ -131,29 +131,33 @@ pub(crate) fn finish<S: Simd>(
     scales: Scales,
     out: &mut [Result<Solution, EstimateStatus>],
 ) {
-    let (mut fates, point) = Fates::after(views, starts);
+    let (mut states, point) = LaneStates::after(views, starts);
     let cut2 = config.robust.then_some(scales.cut * scales.cut);
     if let Some(cut2) = cut2 {
-        views.remove_beyond(fates.alive, point, views.number(NEAR2 * cut2));
+        views.remove_beyond(states.alive, point, views.number(NEAR2 * cut2));
     }
-    let fit = settle(views, point, config, cut2, &mut fates);
-    let mut summary = summarise(views, &fit, &mut fates);
+    let fit = settle(views, point, config, cut2, &mut states);
+    let mut summary = summarise(views, &fit, &mut states);
     if config.collinear_degrees != 0.0 {
-        summary = drop_collinear(views, summary, config, &fates);
+        summary = drop_collinear(views, summary, config, &states);
     }
     for (lane, out) in out.iter_mut().enumerate() {
-        *out = fates.outcome(lane).map(|()| summary.lane(lane));
+        *out = states.outcome(lane).map(|()| summary.lane(lane));
     }
 }
 
 /// Plain rays, re-weighted once with the solution's own depths.
 #[inline(always)]
-fn ray_start<S: Simd>(views: &Views<S>, config: &TriangulationConfig, fates: &mut Fates<S>) -> [Real<S>; 3] {
+fn ray_start<S: Simd>(
+    views: &Views<S>,
+    config: &TriangulationConfig,
+    states: &mut LaneStates<S>,
+) -> [F64s<S>; 3] {
     let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
     let mut point = [views.number(0.0); 3];
     for _ in 0..if config.depth_weighting { 2 } else { 1 } {
         let (next, solved) = views.meet(point, weights).solve(views.simd);
-        fates.fail(fates.alive.except(solved), EstimateStatus::Degenerate);
+        states.fail(states.alive.and_not(solved), EstimateStatus::Degenerate);
         point = next;
     }
     point
@@ -163,16 +167,16 @@ fn ray_start<S: Simd>(views: &Views<S>, config: &TriangulationConfig, fates: &mu
 #[inline(always)]
 fn consensus<S: Simd>(
     views: &Views<S>,
-    start: [Real<S>; 3],
+    start: [F64s<S>; 3],
     scales: Scales,
-    fates: &mut Fates<S>,
-) -> ([Real<S>; 3], Real<S>) {
-    let (point, survey) = robust::locate(views, fates.alive, start, scales);
+    states: &mut LaneStates<S>,
+) -> ([F64s<S>; 3], F64s<S>) {
+    let (point, agreement) = robust::locate(views, states.alive, start, scales);
     let two = views.number(2.0);
-    let lost = two.above(survey.near);
-    fates.fail(lost & two.above(survey.in_front), EstimateStatus::BehindCamera);
-    fates.fail(lost, EstimateStatus::Residual);
-    (point, survey.near - survey.agreeing)
+    let lost = two.gt(agreement.near);
+    states.fail(lost & two.gt(agreement.in_front), EstimateStatus::BehindCamera);
+    states.fail(lost, EstimateStatus::Residual);
+    (point, agreement.near - agreement.agreeing)
 }
 
 /// Gauss-Newton steps, at most; four suffice from the rays' solution, the rest is for narrow baselines.
@@ -188,15 +192,15 @@ const ROUGH: f64 = 1e-6;
 #[inline(always)]
 fn settle<S: Simd>(
     views: &mut Views<S>,
-    start: [Real<S>; 3],
+    start: [F64s<S>; 3],
     config: &TriangulationConfig,
     cut2: Option<f64>,
-    fates: &mut Fates<S>,
+    states: &mut LaneStates<S>,
 ) -> Fit<S> {
     if config.refine {
-        gauss_newton(views, start, cut2, fates)
+        gauss_newton(views, start, cut2, states)
     } else {
-        rays_only(views, start, config, cut2, fates)
+        rays_only(views, start, config, cut2, states)
     }
 }
 
@@ -205,47 +209,47 @@ fn settle<S: Simd>(
 #[inline(always)]
 fn gauss_newton<S: Simd>(
     views: &mut Views<S>,
-    start: [Real<S>; 3],
+    start: [F64s<S>; 3],
     cut2: Option<f64>,
-    fates: &mut Fates<S>,
+    states: &mut LaneStates<S>,
 ) -> Fit<S> {
     let simd = views.simd;
     let (zero, one) = (views.number(0.0), views.number(1.0));
     let (mut fit, hidden) = views.reproject(start);
-    fates.fail(hidden, EstimateStatus::BehindCamera);
-    let nowhere = Truth::nowhere(simd);
-    let rough = if cut2.is_some() { fates.alive } else { nowhere };
-    let mut rounds = Rounds { running: fates.alive, rough, stale: nowhere, damping: zero, steps: zero };
+    states.fail(hidden, EstimateStatus::BehindCamera);
+    let nowhere = LaneMask::nowhere(simd);
+    let rough = if cut2.is_some() { states.alive } else { nowhere };
+    let mut rounds = Rounds { running: states.alive, rough, stale: nowhere, damping: zero, steps: zero };
     let cut2 = views.number(cut2.unwrap_or(f64::INFINITY));
-    // Lanes that lost a view and found no step since: they sum once more where they are.
+    // Lanes whose views changed after their last step: their normal equations are summed once more at the same point.
     let mut again = nowhere;
     while rounds.running.any() {
         let (mut step, mut solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
-        let mut small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
-        let landed = (rounds.running & rounds.rough & solved & small).except(rounds.stale | again);
-        let landed = landed & fit.certain(views, step, cut2);
-        if landed.any() {
-            rounds.land(landed, views, &mut fit, cut2, fates);
+        let mut small = dot(step, step).sqrt().le(rounds.tolerance(views));
+        let converged = (rounds.running & rounds.rough & solved & small).and_not(rounds.stale | again);
+        let converged = converged & fit.certain(views, step, cut2);
+        if converged.any() {
+            rounds.next_round(converged, views, &mut fit, cut2, states);
             (step, solved) = fit.normal.damped(simd, rounds.damping).solve(simd);
-            small = dot(step, step).sqrt().up_to(rounds.tolerance(views));
+            small = dot(step, step).sqrt().le(rounds.tolerance(views));
         }
-        let stepping = (rounds.running & solved).except(again);
+        let stepping = (rounds.running & solved).and_not(again);
         let (trial, hidden) = views.reproject(stepping.select3(plus(fit.point, step), fit.point));
-        let better = (stepping & trial.cost.up_to(fit.cost)).except(hidden);
+        let better = (stepping & trial.cost.le(fit.cost)).and_not(hidden);
         fit = Fit::select(better | again, trial, fit);
-        rounds.stale = rounds.stale.except(better | again);
-        let less = rounds.damping.above(views.number(1e-6)).select(rounds.damping * views.number(0.1), zero);
-        let more = (rounds.damping * views.number(10.0)).or_greater(views.number(1e-3));
+        rounds.stale = rounds.stale.and_not(better | again);
+        let less = rounds.damping.gt(views.number(1e-6)).select(rounds.damping * views.number(0.1), zero);
+        let more = (rounds.damping * views.number(10.0)).max(views.number(1e-3));
         rounds.damping = better.select(less, stepping.select(more, rounds.damping));
         rounds.steps = stepping.select(rounds.steps + one, rounds.steps);
-        small = small | views.number(MAX_STEPS).up_to(rounds.steps);
-        let ended = again | (stepping & small) | rounds.running.except(stepping);
-        rounds.running = rounds.running.except(ended.except(rounds.rough));
-        let landed = ended & rounds.running & rounds.rough;
-        again = landed & rounds.stale;
-        let landed = landed.except(again);
-        if landed.any() {
-            rounds.land(landed, views, &mut fit, cut2, fates);
+        small = small | views.number(MAX_STEPS).le(rounds.steps);
+        let ended = again | (stepping & small) | rounds.running.and_not(stepping);
+        rounds.running = rounds.running.and_not(ended.and_not(rounds.rough));
+        let converged = ended & rounds.running & rounds.rough;
+        again = converged & rounds.stale;
+        let converged = converged.and_not(again);
+        if converged.any() {
+            rounds.next_round(converged, views, &mut fit, cut2, states);
         }
     }
     fit
@@ -253,43 +257,43 @@ fn gauss_newton<S: Simd>(
 
 /// The round each lane is in.
 struct Rounds<S: Simd> {
-    running: Truth<S>,
+    running: LaneMask<S>,
     /// Lanes whose views are still being chosen.
-    rough: Truth<S>,
+    rough: LaneMask<S>,
     /// Lanes that lost a view since their last full sum.
-    stale: Truth<S>,
-    damping: Real<S>,
+    stale: LaneMask<S>,
+    damping: F64s<S>,
     /// Steps in this round.
-    steps: Real<S>,
+    steps: F64s<S>,
 }
 
 impl<S: Simd> Rounds<S> {
     /// Length of a last step (m).
     #[inline(always)]
-    fn tolerance(&self, views: &Views<S>) -> Real<S> {
+    fn tolerance(&self, views: &Views<S>) -> F64s<S> {
         self.rough.select(views.number(ROUGH), views.number(CONVERGED)) * views.scale
     }
 
     /// Ends the rough round of the lanes: the worst view goes if it is beyond the cut, or else the last round begins.
     #[inline(always)]
-    fn land(
+    fn next_round(
         &mut self,
-        lanes: Truth<S>,
+        lanes: LaneMask<S>,
         views: &mut Views<S>,
         fit: &mut Fit<S>,
-        cut2: Real<S>,
-        fates: &mut Fates<S>,
+        cut2: F64s<S>,
+        states: &mut LaneStates<S>,
     ) {
-        let beyond = lanes & fit.worst.above(cut2);
-        let lost = beyond & views.count.up_to(views.number(2.0));
-        fates.fail(lost, EstimateStatus::Residual);
-        self.running = self.running.except(lost);
-        let fewer = beyond.except(lost);
+        let beyond = lanes & fit.worst.gt(cut2);
+        let lost = beyond & views.count.le(views.number(2.0));
+        states.fail(lost, EstimateStatus::Residual);
+        self.running = self.running.and_not(lost);
+        let fewer = beyond.and_not(lost);
         if fewer.any() {
             views.remove_worst(fewer, fit);
         }
         self.stale = self.stale | fewer;
-        self.rough = self.rough.except(lanes.except(beyond));
+        self.rough = self.rough.and_not(lanes.and_not(beyond));
         self.damping = lanes.select(views.number(0.0), self.damping);
         self.steps = lanes.select(views.number(0.0), self.steps);
     }
@@ -299,29 +303,29 @@ impl<S: Simd> Rounds<S> {
 #[inline(always)]
 fn rays_only<S: Simd>(
     views: &mut Views<S>,
-    start: [Real<S>; 3],
+    start: [F64s<S>; 3],
     config: &TriangulationConfig,
     cut2: Option<f64>,
-    fates: &mut Fates<S>,
+    states: &mut LaneStates<S>,
 ) -> Fit<S> {
     let simd = views.simd;
     let weights = if config.depth_weighting { RayWeights::Depth } else { RayWeights::Plain };
     let mut point = start;
-    let mut moving = fates.alive;
-    let mut survey = None;
+    let mut moving = states.alive;
+    let mut agreement = None;
     loop {
         let (next, solved) = views.meet(point, weights).solve(simd);
         point = (moving & solved).select3(next, point);
-        let Some(cut2) = cut2.filter(|_| survey.is_none()) else { break };
-        let found = views.survey(point, views.number(cut2));
-        moving = fates.alive & found.worst.above(views.number(cut2));
-        let lost = moving & views.count.up_to(views.number(2.0));
-        fates.fail(lost, EstimateStatus::Residual);
-        moving = moving.except(lost);
+        let Some(cut2) = cut2.filter(|_| agreement.is_none()) else { break };
+        let found = views.agreement(point, views.number(cut2));
+        moving = states.alive & found.worst.gt(views.number(cut2));
+        let lost = moving & views.count.le(views.number(2.0));
+        states.fail(lost, EstimateStatus::Residual);
+        moving = moving.and_not(lost);
         views.remove(moving, found.worst_row);
         if !moving.any() {
-            moving = fates.alive;
-            survey = Some(found);
+            moving = states.alive;
+            agreement = Some(found);
         }
     }
     let zero = views.number(0.0);
@@ -332,11 +336,11 @@ fn rays_only<S: Simd>(
 
 /// Covariance for 1 px of noise, residuals and degrees of freedom at the solution.
 #[inline(always)]
-fn summarise<S: Simd>(views: &Views<S>, fit: &Fit<S>, fates: &mut Fates<S>) -> Summary<S> {
+fn summarise<S: Simd>(views: &Views<S>, fit: &Fit<S>, states: &mut LaneStates<S>) -> Summary<S> {
     let mean = views.mean_weight();
-    fates.fail(fates.alive.except(fit.cost.finite()), EstimateStatus::BehindCamera);
+    states.fail(states.alive.and_not(fit.cost.finite()), EstimateStatus::BehindCamera);
     let (mut unit_covariance, sound) = fit.normal.inverse(views.simd);
-    fates.fail(fates.alive.except(sound), EstimateStatus::Degenerate);
+    states.fail(states.alive.and_not(sound), EstimateStatus::Degenerate);
     for entry in &mut unit_covariance {
         *entry = *entry * mean;
     }
@@ -367,7 +371,7 @@ impl<S: Simd> Summary<S> {
     }
 
     #[inline(always)]
-    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+    fn select(place: LaneMask<S>, yes: Self, no: Self) -> Self {
         let mut out = no;
         out.step = place.select3(yes.step, no.step);
         for k in 0..6 {
@@ -380,7 +384,7 @@ impl<S: Simd> Summary<S> {
 
     /// Standard deviation along a unit vector (m), for a noise variance (px^2).
     #[inline(always)]
-    fn sigma(&self, direction: [Real<S>; 3], variance: Real<S>) -> Real<S> {
+    fn sigma(&self, direction: [F64s<S>; 3], variance: F64s<S>) -> F64s<S> {
         let [xx, xy, xz, yy, yz, zz] = self.unit_covariance;
         let across = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
         let along = [dot(across[0], direction), dot(across[1], direction), dot(across[2], direction)];
@@ -394,7 +398,7 @@ fn drop_collinear<S: Simd>(
     views: &mut Views<S>,
     first: Summary<S>,
     config: &TriangulationConfig,
-    fates: &Fates<S>,
+    states: &LaneStates<S>,
 ) -> Summary<S> {
     let (zero, one) = (views.number(0.0), views.number(1.0));
     let length = dot(first.step, first.step).sqrt();
@@ -406,18 +410,18 @@ fn drop_collinear<S: Simd>(
     let limit = views.number(config.collinear_degrees.to_radians().cos());
     let mut remaining = zero;
     for row in &mut views.rows {
-        let across = row.weight.above(zero) & dot(row.ray, direction).magnitude().up_to(limit);
+        let across = row.weight.gt(zero) & dot(row.ray, direction).abs().le(limit);
         row.weight = across.select(row.weight, zero);
         remaining = remaining + across.select(one, zero);
     }
-    let fewer = views.number(1.5).up_to(remaining) & first.views.above(remaining);
-    let lanes = (fates.alive & length.above(zero) & fewer).except(shortest.above(length));
+    let fewer = views.number(1.5).le(remaining) & first.views.gt(remaining);
+    let lanes = (states.alive & length.gt(zero) & fewer).and_not(shortest.gt(length));
     if !lanes.any() {
         return first;
     }
     views.count = remaining;
     // Fewer views may no longer fix the point; then the solution with all of them stands.
-    let mut again = Fates { alive: lanes, status: fates.status };
+    let mut again = LaneStates { alive: lanes, status: states.status };
     let fit = settle(views, first.step, config, None, &mut again);
     let second = summarise(views, &fit, &mut again);
     Summary::select(again.alive, second, first)
@@ -432,16 +436,16 @@ impl<S: Simd> Fit<S> {
     /// `|J|^2 = (f_x^2 (1 + a^2) + f_y^2 (1 + b^2)) / z^2`, and a residual changes by no more than that. As `|J|` is at
     /// least `f sqrt(2) / z`, twice `|J| |s|` is an upper bound wherever it is within the shortest focal length.
     #[inline(always)]
-    fn certain(&self, views: &Views<S>, step: [Real<S>; 3], cut2: Real<S>) -> Truth<S> {
+    fn certain(&self, views: &Views<S>, step: [F64s<S>; 3], cut2: F64s<S>) -> LaneMask<S> {
         let margin = views.number(2.0) * (dot(step, step) * self.reach2).sqrt();
         let (worst, second, cut) = (self.worst.sqrt(), self.second.sqrt(), cut2.sqrt());
-        let first = (worst - second).above(margin + margin);
-        let decided = cut.above(worst + margin) | (first & (worst - margin).above(cut));
-        decided & margin.up_to(views.number(views.least_focal))
+        let first = (worst - second).gt(margin + margin);
+        let decided = cut.gt(worst + margin) | (first & (worst - margin).gt(cut));
+        decided & margin.le(views.number(views.least_focal))
     }
 
     #[inline(always)]
-    fn select(place: Truth<S>, yes: Self, no: Self) -> Self {
+    fn select(place: LaneMask<S>, yes: Self, no: Self) -> Self {
         Self {
             point: place.select3(yes.point, no.point),
             normal: Normal::select(place, yes.normal, no.normal),

@@ -1,20 +1,20 @@
 //! The views of several Gaussians side by side: one Gaussian per SIMD lane, one view per row.
 
-use crate::real::{Lanes, MAX_LANES, Real, Truth, all3, dot, minus};
+use crate::simd::{F64s, LaneMask, Lanes, MAX_LANES, all3, dot, minus};
 use ffgs_core::{Camera, Observations};
 use glam::{DMat3, DVec2, DVec3};
 use pulp::Simd;
 
-/// What of a camera every Gaussian needs.
+/// A camera as the passes over Gaussians need it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lens {
+pub(crate) struct ViewCamera {
     rotation: DMat3,
     center: DVec3,
     focal: DVec2,
     principal: DVec2,
 }
 
-impl From<&Camera> for Lens {
+impl From<&Camera> for ViewCamera {
     fn from(camera: &Camera) -> Self {
         let k = camera.intrinsics();
         Self {
@@ -26,7 +26,7 @@ impl From<&Camera> for Lens {
     }
 }
 
-impl Lens {
+impl ViewCamera {
     /// Its centre relative to a point (m).
     #[inline(always)]
     pub(crate) fn center_from(&self, origin: [f64; 3]) -> [f64; 3] {
@@ -39,29 +39,29 @@ impl Lens {
 #[repr(align(64))]
 pub(crate) struct Row<S: Simd> {
     /// Its camera.
-    pub lens: usize,
+    pub view_camera: usize,
     /// Target less principal point (px); 0 where unobserved.
-    pub target: [Real<S>; 2],
+    pub target: [F64s<S>; 2],
     /// Unit viewing ray through the target; 0 where it was not asked for.
-    pub ray: [Real<S>; 3],
+    pub ray: [F64s<S>; 3],
     /// Observation weight, scaled to mean 1 over the Gaussian's views; 0 = unobserved or removed.
-    pub weight: Real<S>,
+    pub weight: F64s<S>,
 }
 
 /// The views of one Gaussian per SIMD lane, relative to its previous mean. Lanes are independent: results do
 /// not depend on batching.
 pub(crate) struct Views<'a, S: Simd> {
     pub simd: S,
-    pub lenses: &'a [Lens],
+    pub view_cameras: &'a [ViewCamera],
     /// The views that any lane's Gaussian was observed in, in order.
     pub rows: Vec<Row<S>>,
     /// Previous means (m).
-    pub previous: [Real<S>; 3],
+    pub previous: [F64s<S>; 3],
     /// Number of views left.
-    pub count: Real<S>,
+    pub count: F64s<S>,
     /// Distance of the farthest camera (m).
-    pub scale: Real<S>,
-    /// The shortest focal length of all lenses (px).
+    pub scale: F64s<S>,
+    /// The shortest focal length of all view_cameras (px).
     pub least_focal: f64,
 }
 
@@ -69,27 +69,28 @@ pub(crate) struct Views<'a, S: Simd> {
 #[derive(Clone, Copy)]
 pub(crate) struct LensLanes<S: Simd> {
     /// Rows of the rotation of `camera_from_world`.
-    pub rotation: [[Real<S>; 3]; 3],
+    pub rotation: [[F64s<S>; 3]; 3],
     /// Centre relative to the previous mean (m).
-    pub center: [Real<S>; 3],
+    pub center: [F64s<S>; 3],
     /// Focal lengths (px).
-    pub focal: [Real<S>; 2],
+    pub focal: [F64s<S>; 2],
 }
 
 impl<S: Simd> LensLanes<S> {
     #[inline(always)]
-    pub(crate) fn new(simd: S, lens: &Lens, previous: [Real<S>; 3]) -> Self {
-        let [x, y, z] = [lens.rotation.x_axis, lens.rotation.y_axis, lens.rotation.z_axis];
+    pub(crate) fn new(simd: S, view_camera: &ViewCamera, previous: [F64s<S>; 3]) -> Self {
+        let [x, y, z] =
+            [view_camera.rotation.x_axis, view_camera.rotation.y_axis, view_camera.rotation.z_axis];
         Self {
             rotation: [all3(simd, [x.x, y.x, z.x]), all3(simd, [x.y, y.y, z.y]), all3(simd, [x.z, y.z, z.z])],
-            center: minus(all3(simd, lens.center), previous),
-            focal: [Real::all(simd, lens.focal.x), Real::all(simd, lens.focal.y)],
+            center: minus(all3(simd, view_camera.center), previous),
+            focal: [F64s::all(simd, view_camera.focal.x), F64s::all(simd, view_camera.focal.y)],
         }
     }
 
     /// World vectors as the camera sees them.
     #[inline(always)]
-    pub(crate) fn turn(&self, offset: [Real<S>; 3]) -> [Real<S>; 3] {
+    pub(crate) fn turn(&self, offset: [F64s<S>; 3]) -> [F64s<S>; 3] {
         [dot(self.rotation[0], offset), dot(self.rotation[1], offset), dot(self.rotation[2], offset)]
     }
 }
@@ -97,22 +98,22 @@ impl<S: Simd> LensLanes<S> {
 impl<'a, S: Simd> Views<'a, S> {
     /// No views of no Gaussians.
     #[inline(always)]
-    pub(crate) fn new(simd: S, lenses: &'a [Lens]) -> Self {
-        let zero = Real::all(simd, 0.0);
+    pub(crate) fn new(simd: S, view_cameras: &'a [ViewCamera]) -> Self {
+        let zero = F64s::all(simd, 0.0);
         Self {
             simd,
-            lenses,
-            rows: Vec::with_capacity(lenses.len()),
+            view_cameras,
+            rows: Vec::with_capacity(view_cameras.len()),
             previous: [zero; 3],
             count: zero,
             scale: zero,
-            least_focal: lenses.iter().map(|l| l.focal.min_element()).fold(f64::INFINITY, f64::min),
+            least_focal: view_cameras.iter().map(|l| l.focal.min_element()).fold(f64::INFINITY, f64::min),
         }
     }
 
     #[inline(always)]
-    pub(crate) fn number(&self, value: f64) -> Real<S> {
-        Real::all(self.simd, value)
+    pub(crate) fn number(&self, value: f64) -> F64s<S> {
+        F64s::all(self.simd, value)
     }
 
     /// Fills with the views that observed the given Gaussians, one per lane (the rest of the lanes none), weights scaled to
@@ -131,7 +132,7 @@ impl<'a, S: Simd> Views<'a, S> {
         for (lane, &i) in gaussians.iter().enumerate() {
             (places[lane], used[lane]) = (i as usize, 1.0);
         }
-        let used = Real::from_lanes(self.simd, &used).above(zero);
+        let used = F64s::from_lanes(self.simd, &used).gt(zero);
         let mut origins = [[0.0; MAX_LANES]; 3];
         for lane in 0..S::F64_LANES {
             for axis in 0..3 {
@@ -139,19 +140,19 @@ impl<'a, S: Simd> Views<'a, S> {
             }
         }
         for axis in 0..3 {
-            self.previous[axis] = Real::from_lanes(self.simd, &origins[axis]);
+            self.previous[axis] = F64s::from_lanes(self.simd, &origins[axis]);
         }
         self.rows.clear();
         let (mut sum, mut count, mut farthest) = (zero, zero, zero);
-        for lens in 0..self.lenses.len() {
-            let (mut row, observed) = self.row(lens, observations, &places, used);
+        for view_camera in 0..self.view_cameras.len() {
+            let (mut row, observed) = self.row(view_camera, observations, &places, used);
             if !observed.any() {
                 continue;
             }
             sum = sum + row.weight;
             count = count + observed.select(one, zero);
-            let parts = LensLanes::new(self.simd, &self.lenses[lens], self.previous);
-            farthest = observed.select(farthest.or_greater(dot(parts.center, parts.center)), farthest);
+            let parts = LensLanes::new(self.simd, &self.view_cameras[view_camera], self.previous);
+            farthest = observed.select(farthest.max(dot(parts.center, parts.center)), farthest);
             if rays {
                 row.ray = self.ray(&parts, row.target);
             }
@@ -161,7 +162,7 @@ impl<'a, S: Simd> Views<'a, S> {
         self.count = count;
         let per_weight = count / sum;
         for row in &mut self.rows {
-            row.weight = row.weight.above(zero).select(row.weight * per_weight, zero);
+            row.weight = row.weight.gt(zero).select(row.weight * per_weight, zero);
         }
     }
 
@@ -169,13 +170,13 @@ impl<'a, S: Simd> Views<'a, S> {
     #[inline(always)]
     fn row(
         &self,
-        lens: usize,
+        view_camera: usize,
         observations: &Observations,
         places: &[usize; MAX_LANES],
-        used: Truth<S>,
-    ) -> (Row<S>, Truth<S>) {
+        used: LaneMask<S>,
+    ) -> (Row<S>, LaneMask<S>) {
         let (mut x, mut y, mut weight): (Lanes, Lanes, Lanes) = Default::default();
-        let first = lens * observations.gaussians;
+        let first = view_camera * observations.gaussians;
         let entries = first..first + observations.gaussians;
         let (targets, weights) = (&observations.targets[entries.clone()], &observations.weights[entries]);
         for lane in 0..S::F64_LANES {
@@ -183,26 +184,26 @@ impl<'a, S: Simd> Views<'a, S> {
             let target = targets[places[lane]];
             (x[lane], y[lane]) = (target.x, target.y);
         }
-        let (x, y) = (Real::from_lanes(self.simd, &x), Real::from_lanes(self.simd, &y));
-        let weight = Real::from_lanes(self.simd, &weight);
+        let (x, y) = (F64s::from_lanes(self.simd, &x), F64s::from_lanes(self.simd, &y));
+        let weight = F64s::from_lanes(self.simd, &weight);
         let zero = self.number(0.0);
-        let observed = used & weight.above(zero) & weight.finite() & x.finite() & y.finite();
-        let principal = self.lenses[lens].principal;
+        let observed = used & weight.gt(zero) & weight.finite() & x.finite() & y.finite();
+        let principal = self.view_cameras[view_camera].principal;
         let target = [
             observed.select(x - self.number(principal.x), zero),
             observed.select(y - self.number(principal.y), zero),
         ];
-        (Row { lens, target, ray: [zero; 3], weight: observed.select(weight, zero) }, observed)
+        (Row { view_camera, target, ray: [zero; 3], weight: observed.select(weight, zero) }, observed)
     }
 
     /// Unit rays through the targets.
     #[inline(always)]
-    fn ray(&self, lens: &LensLanes<S>, target: [Real<S>; 2]) -> [Real<S>; 3] {
-        let (x, y) = (target[0] / lens.focal[0], target[1] / lens.focal[1]);
-        let [right, down, away] = lens.rotation;
+    fn ray(&self, view_camera: &LensLanes<S>, target: [F64s<S>; 2]) -> [F64s<S>; 3] {
+        let (x, y) = (target[0] / view_camera.focal[0], target[1] / view_camera.focal[1]);
+        let [right, down, away] = view_camera.rotation;
         let mut ray = [x; 3];
         for k in 0..3 {
-            ray[k] = right[k].times_plus(x, down[k].times_plus(y, away[k]));
+            ray[k] = right[k].mul_add(x, down[k].mul_add(y, away[k]));
         }
         let per_length = self.number(1.0) / dot(ray, ray).sqrt();
         [ray[0] * per_length, ray[1] * per_length, ray[2] * per_length]
@@ -210,7 +211,7 @@ impl<'a, S: Simd> Views<'a, S> {
 
     /// Mean weight of the views left.
     #[inline(always)]
-    pub(crate) fn mean_weight(&self) -> Real<S> {
+    pub(crate) fn mean_weight(&self) -> F64s<S> {
         let mut sum = self.number(0.0);
         for row in &self.rows {
             sum = sum + row.weight;
@@ -220,7 +221,7 @@ impl<'a, S: Simd> Views<'a, S> {
 
     /// Removes a row, of each lane its own.
     #[inline(always)]
-    pub(crate) fn remove(&mut self, lanes: Truth<S>, rows: Real<S>) {
+    pub(crate) fn remove(&mut self, lanes: LaneMask<S>, rows: F64s<S>) {
         for lane in lanes.lanes() {
             self.rows[rows.lane(lane) as usize].weight.set_lane(lane, 0.0);
         }

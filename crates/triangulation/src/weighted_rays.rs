@@ -1,9 +1,9 @@
 use crate::config::TriangulationConfig;
 use crate::passes::RayWeights;
-use crate::real::MAX_LANES;
 use crate::robust::{self, Scales};
+use crate::simd::MAX_LANES;
 use crate::solve::{Solution, Start, begin, finish};
-use crate::views::{Lens, Views};
+use crate::views::{ViewCamera, Views};
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations, instructions};
 use glam::{DMat3, DVec3};
 use pulp::{Simd, WithSimd};
@@ -66,8 +66,8 @@ impl WeightedRays {
         if !self.config.is_valid() {
             return Err(TriangulationError::Config(Box::new(self.config)));
         }
-        let lenses: Vec<Lens> = cameras.iter().map(Lens::from).collect();
-        let batch = Batch { config: &self.config, previous, lenses: &lenses, observations };
+        let view_cameras: Vec<ViewCamera> = cameras.iter().map(ViewCamera::from).collect();
+        let batch = Batch { config: &self.config, previous, view_cameras: &view_cameras, observations };
         let scales = batch.scales();
         let mut solutions = vec![Err(EstimateStatus::TooFewViews); previous.len()];
         let arch = instructions();
@@ -94,7 +94,7 @@ type Outcome = Result<Solution, EstimateStatus>;
 struct Batch<'a> {
     config: &'a TriangulationConfig,
     previous: &'a [DVec3],
-    lenses: &'a [Lens],
+    view_cameras: &'a [ViewCamera],
     observations: &'a Observations,
 }
 
@@ -112,8 +112,8 @@ impl Batch<'_> {
     fn by_visibility(&self, first: usize, count: usize) -> Vec<u32> {
         let Observations { gaussians, weights, .. } = self.observations;
         let mut keys: Vec<(u64, u32)> = (first..first + count).map(|i| (0, i as u32)).collect();
-        for v in 0..self.lenses.len() {
-            let bit = 1 << (63 - v * 64 / self.lenses.len().max(64));
+        for v in 0..self.view_cameras.len() {
+            let bit = 1 << (63 - v * 64 / self.view_cameras.len().max(64));
             let row = &weights[v * gaussians + first..][..count];
             for (key, weight) in keys.iter_mut().zip(row) {
                 key.0 |= if *weight > 0.0 { bit } else { 0 };
@@ -172,7 +172,7 @@ impl WithSimd for SolveChunk<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { batch, scales, first, out } = self;
         let Batch { config, previous, observations, .. } = *batch;
-        let mut views = Views::new(simd, batch.lenses);
+        let mut views = Views::new(simd, batch.view_cameras);
         let order = batch.by_visibility(first, out.len());
         let mut begun = Vec::with_capacity(order.len());
         for group in order.chunks(S::F64_LANES) {
@@ -213,13 +213,13 @@ impl WithSimd for SoftResiduals<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Vec<f64> {
         let Self { batch, soft, samples } = self;
-        let mut views = Views::new(simd, batch.lenses);
+        let mut views = Views::new(simd, batch.view_cameras);
         let mut out = Vec::new();
         for group in samples.chunks(S::F64_LANES) {
             views.gather(batch.previous, batch.observations, group, true);
             let (start, solved) = views.meet([views.number(0.0); 3], RayWeights::Depth).solve(simd);
-            let lanes = solved & views.number(3.0).up_to(views.count);
-            let point = robust::soften(&views, lanes, start, soft);
+            let lanes = solved & views.number(3.0).le(views.count);
+            let point = robust::reweight(&views, lanes, start, soft);
             views.push_errors(lanes, point, &mut out);
         }
         out

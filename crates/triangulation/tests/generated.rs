@@ -213,9 +213,9 @@ fn bits(out: &Estimates, i: usize) -> (EstimateStatus, Vec<u64>) {
     (out.status[i], numbers.map(f64::to_bits).collect())
 }
 
-/// Gaussians share vectors: none may feel which others are beside it.
+/// Gaussians share vectors: a result must not depend on the other Gaussians of its vector.
 #[test]
-fn the_company_of_other_gaussians_changes_no_bit() {
+fn results_do_not_depend_on_the_other_simd_lanes() {
     // Without a pooled noise, and with scales above what is sampled of it, every Gaussian is by itself.
     let alone = |config| TriangulationConfig {
         pooled_degrees: 0.0,

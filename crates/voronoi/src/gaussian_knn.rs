@@ -190,7 +190,7 @@ fn narrow(candidates: &[Candidate], centre: [f64; 2], reach: f64, out: &mut Vec<
     let mut count = 0;
     for &candidate in candidates {
         let (dx, dy) = (candidate.point[0] - centre[0], candidate.point[1] - centre[1]);
-        // No branch: which ones are near is anyone's guess.
+        // Without a branch, as the comparison cannot be predicted.
         out[count] = candidate;
         count += usize::from(dx * dx + dy * dy <= reach * reach);
     }

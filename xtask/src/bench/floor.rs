@@ -8,7 +8,7 @@ use super::results::{Case, Work};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Measured rates on one thread and on two: multiply-adds and bytes a second.
+/// Measured rates on one thread and on two: multiply-adds and bytes per second.
 #[derive(Debug, Default)]
 pub(crate) struct Rates {
     operations: [Option<f64>; 2],

@@ -2,6 +2,7 @@
 
 mod circles;
 mod edges;
+mod functions;
 mod kernels;
 mod manifests;
 mod sources;
@@ -32,18 +33,20 @@ const TEXT: [&str; 13] =
 /// Text files without an extension.
 const BARE_TEXT: [&str; 3] = [".ci/run", ".gitignore", "LICENSE"];
 
-/// Runs every rule; an error lists all findings.
-pub(crate) fn run(root: &Path) -> Result<()> {
+/// Runs every rule and says how long functions are; an error lists all findings.
+pub(crate) fn run(root: &Path) -> Result<String> {
     let sources = read(root)?;
     let mut findings: Vec<Finding> = sources.iter().flat_map(sources::check).collect();
     findings.extend(sources.iter().flat_map(manifests::check));
     findings.extend(circles::check(&sources));
     findings.extend(kernels::check(&sources));
+    let (lengths, long) = functions::check(&sources);
+    findings.extend(long);
     findings.extend(edges::check(root, &sources)?);
     if !findings.is_empty() {
         bail!("tidy has {} findings:\n  {}", findings.len(), findings.join("\n  "));
     }
-    Ok(())
+    Ok(lengths.summary())
 }
 
 fn read(root: &Path) -> Result<Vec<Source>> {

@@ -23,8 +23,15 @@ const MACHINE_WORDS: [&str; 5] = [
 
 /// Applies every rule to one file.
 pub(crate) fn check(source: &Source) -> Vec<Finding> {
-    let rules: [fn(&Source) -> Vec<Finding>; 6] =
-        [long_file, empty_names, leftovers, ignored_tests, machine_words, trailing_whitespace];
+    let rules: [fn(&Source) -> Vec<Finding>; 7] = [
+        long_file,
+        empty_names,
+        leftovers,
+        ignored_tests,
+        machine_words,
+        trailing_whitespace,
+        foreign_includes,
+    ];
     rules.iter().flat_map(|rule| rule(source)).collect()
 }
 
@@ -86,6 +93,19 @@ fn trailing_whitespace(source: &Source) -> Vec<Finding> {
     lines_where(source, "trailing whitespace", |line| line != line.trim_end())
 }
 
+/// Files of another folder than the crate's are not in its package: it would not build from the archive.
+fn foreign_includes(source: &Source) -> Vec<Finding> {
+    let Some((_, inside)) = source.path.strip_prefix("crates/").and_then(|path| path.split_once("/src/"))
+    else {
+        return Vec::new();
+    };
+    let far = "../".repeat(inside.matches('/').count() + 2);
+    lines_where(source, "includes a file from outside its crate", |line| {
+        let included = line.split_once("include_str!(\"").or_else(|| line.split_once("include_bytes!(\""));
+        included.is_some_and(|(_, path)| path.starts_with(&far))
+    })
+}
+
 fn lines_where(source: &Source, what: &str, rule: impl Fn(&str) -> bool) -> Vec<Finding> {
     let lines = source.text.split('\n').enumerate().filter(|(_, line)| rule(line));
     lines.map(|(index, _)| format!("{}:{}: {what}", source.path, index + 1)).collect()
@@ -124,6 +144,17 @@ mod tests {
         assert_eq!(empty_names(&source("a.rs", &format!("pub(crate) mod {} {{\n", EMPTY_NAMES[4]))).len(), 1);
         assert_eq!(empty_names(&source("a.rs", &format!("    fn {}(x: f32) {{\n", EMPTY_NAMES[3]))).len(), 1);
         assert!(empty_names(&source("a.rs", "fn helper_lens() { utils.go() }\n")).is_empty());
+    }
+
+    #[test]
+    fn files_from_outside_a_crate_are_found() {
+        let findings = |path: &str, far: &str| {
+            foreign_includes(&source(path, &format!("const A: &str = include_str!(\"{far}a.md\");"))).len()
+        };
+        assert_eq!(findings("crates/x/src/a.rs", "../"), 0);
+        assert_eq!(findings("crates/x/src/a.rs", "../../"), 1);
+        assert_eq!(findings("crates/x/src/a/b.rs", "../../"), 0);
+        assert_eq!(findings("crates/x/src/a/b.rs", "../../../"), 1);
     }
 
     #[test]

@@ -5,7 +5,7 @@ pub(crate) mod axes;
 mod files;
 pub(crate) mod stream;
 
-pub use args::{ExportArgs, Layer};
+pub(crate) use args::ExportArgs;
 
 use crate::folder::RunFolder;
 use anyhow::Result;
@@ -16,7 +16,7 @@ use ffgs_splats::FORMATS;
 ///
 /// # Errors
 /// When the run cannot be read, the folder holds another export, or a file cannot be written.
-pub fn export(args: &ExportArgs) -> Result<()> {
+pub(crate) fn export(args: &ExportArgs) -> Result<()> {
     let out =
         args.out.clone().map_or_else(|| RunFolder(args.run.clone()).inside(&["export", &args.to]), Ok)?;
     if args.to == STREAM || args.to == SITE {

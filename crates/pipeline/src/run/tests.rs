@@ -67,6 +67,25 @@ fn a_run_decodes_each_image_once() {
     assert_eq!(decoded.len(), 2 * (3 + tests) + starts);
 }
 
+/// Everything but the static lane borrows the static layer: when that lane takes no step, a frame ends with the very one it began with.
+#[test]
+fn a_frame_copies_the_static_layer_only_to_change_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for (steps, stays) in [(0, true), (1, false)] {
+        let mut request = request(&folder.path().join(steps.to_string()), &[], 2, false);
+        request.device = Device::Cpu;
+        request.config.background.static_iterations = steps;
+        let job = Job::open(&request).unwrap();
+        let (mut console, mut method) = (Console::new(true, job.frames.clone()), job.method().unwrap());
+        let (first, _) = job.first_frame(0, &mut *method, &mut console).unwrap();
+        let layer = Arc::clone(&first.scene.static_layer);
+        let mut lane = StaticLane::default();
+        let (next, _) = job.next_frame(1, first, &mut *method, &mut lane, &console).unwrap();
+        assert_eq!(Arc::ptr_eq(&layer, &next.scene.static_layer), stays, "{steps} steps");
+        assert_eq!(Arc::strong_count(&layer), if stays { 2 } else { 1 }, "who else keeps it?");
+    }
+}
+
 /// A short run of the sample on GPUs, every lane on them.
 fn request(out: &Path, gpus: &[usize], frames: usize, resume: bool) -> RunRequest {
     let mut config = Config::default();

@@ -46,7 +46,7 @@ fn small(image: &ImageRgb8, mask: &Mask) -> ImageRgb8 {
         let dim = |v: u8| if mask.data()[at] == 1 { v } else { v / 4 };
         [dim(p[0]), dim(p[1]), dim(p[2]).max(if mask.data()[at] == 1 { 0 } else { 60 })]
     });
-    ImageRgb8::new(size, data.collect()).expect("three values a pixel")
+    ImageRgb8::new(size, data.collect()).expect("three values per pixel")
 }
 
 fn joined(rows: &[Vec<ImageRgb8>]) -> ImageRgb8 {

@@ -75,7 +75,7 @@ const NO_SLOT: u32 = 0xffffffffu;
 // Derivatives, or sums, per (tile, splat) entry.
 const ENTRY: u32 = 9u;
 
-// Compilers may assume that floats are numbers; bits do not lie.
+// Tested on the bits: compilers may assume that a float is never NaN.
 fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }

@@ -90,7 +90,7 @@ impl World {
     }
 
     /// A tracker that finds nothing.
-    pub fn silent_tracker(&self) -> Box<dyn TrackSource> {
+    pub(crate) fn silent_tracker(&self) -> Box<dyn TrackSource> {
         Box::new(WorldTracks { world: self.clone(), silent: true })
     }
 

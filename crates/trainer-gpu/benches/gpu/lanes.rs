@@ -11,7 +11,7 @@ use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
 
 /// As the CPU's case: 640x360, three views, 100 000 Gaussians, 40 steps, uploads and caches included.
-const SIZE: ImageSize = ImageSize { width: 640, height: 360 };
+pub(crate) const SIZE: ImageSize = ImageSize { width: 640, height: 360 };
 const GAUSSIANS: usize = 100_000;
 const STEPS: usize = 40;
 
@@ -42,7 +42,7 @@ pub(crate) fn dynamic(device: &SceneDevice, percent: u32, rows: &mut Rows) -> Re
 }
 
 /// An ellipse with the given share of the image.
-fn disc(share: f64) -> Mask {
+pub(crate) fn disc(share: f64) -> Mask {
     let radius = (share / std::f64::consts::PI).sqrt();
     let inside = |i: usize| {
         let x = (i % SIZE.width) as f64 / SIZE.width as f64 - 0.5;

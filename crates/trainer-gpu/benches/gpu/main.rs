@@ -8,6 +8,7 @@ mod rows;
 #[allow(dead_code, reason = "the CPU's benchmarks need more of it")]
 #[path = "../../../trainer/benches/cpu/scene.rs"]
 mod scene;
+mod stages;
 mod steps;
 
 use anyhow::{Context, Result};
@@ -55,6 +56,7 @@ fn main() -> Result<()> {
             steps::step(gpu, size, count, &mut rows)?;
         }
     }
+    stages::stages(&device, &mut rows)?;
     for &share in &options.shares {
         lanes::dynamic(&device, share, &mut rows)?;
     }

@@ -1,4 +1,4 @@
-//! The table: a line a case, and lines with `#` about the adapter.
+//! The table: a line per case, and lines with `#` about the adapter.
 
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_trainer_gpu::Floor;
@@ -49,6 +49,17 @@ impl Rows {
             work();
             start.elapsed().as_secs_f64()
         })
+    }
+
+    /// The same of work that may fail.
+    pub(crate) fn try_time(&self, mut work: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
+        let mut result = Ok(());
+        let seconds = self.time(|| {
+            if result.is_ok() {
+                result = work();
+            }
+        });
+        result.map(|()| seconds)
     }
 
     /// Median seconds of one submission of `work` among as many as take a tenth of a second, to the end of the last.

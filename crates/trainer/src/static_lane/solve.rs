@@ -108,7 +108,7 @@ struct System<'a> {
     offsets: Vec<usize>,
     /// (N + 1), and for each Gaussian the places in these columns.
     places: (Vec<u32>, Vec<u32>),
-    /// Colours at the clamp do not answer to small changes: 0 there, else 1, over (view, seen).
+    /// Derivative of the clamp of colours, over (view, seen): 0 where clamped, else 1.
     answers: Vec<Vec3>,
     /// (N) noise over variance, of coefficient 0 and of the others.
     ridge: Vec<[f32; 2]>,
@@ -395,7 +395,7 @@ mod tests {
         );
     }
 
-    /// Frames of the true light, then one that a single view sees, with a shadow: who has seen more changes less.
+    /// Frames of the true light, then one that a single view sees, with a shadow: a Gaussian that was seen more often changes less.
     #[test]
     fn what_many_frames_showed_is_not_given_up_for_one() {
         let (layer, sky, views) = wall();

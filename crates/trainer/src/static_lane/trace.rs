@@ -5,7 +5,7 @@ use glam::Vec3;
 /// Place in `seen` and weight `alpha T`.
 pub(super) type Contribution = (u32, f32);
 
-/// Who colours which pixel of one view, and by how much. It holds as long as camera, geometry and opacities stay.
+/// Which Gaussians colour which pixels of one view, and with what weights. It holds as long as camera, geometry and opacities stay.
 #[derive(Clone, Debug)]
 pub(super) struct ViewTrace {
     pub(super) camera: Camera,

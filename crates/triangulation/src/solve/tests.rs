@@ -1,9 +1,9 @@
 //! The step that is not taken because it cannot change which view is removed.
 
 use super::*;
-use crate::problems::{Problems, unpleasant};
-use crate::real::all3;
-use crate::views::Lens;
+use crate::problems::{Problems, difficult};
+use crate::simd::all3;
+use crate::views::ViewCamera;
 use pulp::Scalar;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,8 +13,8 @@ const SCALES: Scales = Scales { soft: 2.0, cut: 4.0 };
 
 /// Does something with the views of every problem.
 fn for_each_problem(problems: &Problems, mut op: impl FnMut(usize, &mut Views<Scalar>)) {
-    let lenses: Vec<Lens> = problems.cameras.iter().map(Lens::from).collect();
-    let mut views = Views::new(Scalar::new(), &lenses);
+    let view_cameras: Vec<ViewCamera> = problems.cameras.iter().map(ViewCamera::from).collect();
+    let mut views = Views::new(Scalar::new(), &view_cameras);
     for i in 0..problems.previous.len() {
         views.gather(&problems.previous, &problems.observations, &[i as u32], true);
         op(i, &mut views);
@@ -34,7 +34,7 @@ fn solve(views: &mut Views<Scalar>, start: Start, least_focal: f64) -> Result<So
 fn steps_not_taken_change_no_choice_of_views() {
     let (mut solved, mut elsewhere) = (0, 0);
     for (seed, outliers) in [(1, 0.15), (2, 0.3), (3, 0.5)] {
-        let problems = unpleasant(seed, COUNT, outliers);
+        let problems = difficult(seed, COUNT, outliers);
         for_each_problem(&problems, |i, views| {
             let mut start = [Start::NONE];
             begin(views, &TriangulationConfig::default(), SCALES, &mut start);
@@ -60,21 +60,21 @@ fn steps_not_taken_change_no_choice_of_views() {
 
 /// Steps of all lengths about points anywhere, near cameras too, and cuts near the worst residual.
 #[test]
-fn what_is_certain_is_so() {
+fn a_certain_outcome_is_the_full_solution() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut certain = 0;
-    for_each_problem(&unpleasant(4, COUNT, 0.3), |i, views| {
+    for_each_problem(&difficult(4, COUNT, 0.3), |i, views| {
         let simd = views.simd;
         let mut any = |size: f64| all3(simd, [(); 3].map(|()| size * rng.random_range(-1.0..1.0)));
         for power in 0..8 {
             let (point, step) = (any(2.0), any(10_f64.powi(-power)));
             let fit = views.reproject(point).0;
-            let cut2 = fit.worst * any(1e-2)[0].times_plus(views.number(1.0), views.number(1.0));
+            let cut2 = fit.worst * any(1e-2)[0].mul_add(views.number(1.0), views.number(1.0));
             if fit.certain(views, step, cut2).any() {
                 let (there, hidden) = views.reproject(plus(point, step));
-                let beyond = |fit: &Fit<Scalar>| fit.worst.above(cut2).any();
+                let beyond = |fit: &Fit<Scalar>| fit.worst.gt(cut2).any();
                 let one_more = there.worst_row.lane(0) == fit.worst_row.lane(0) || !beyond(&fit);
-                let hidden = hidden.except(views.reproject(point).1).any();
+                let hidden = hidden.and_not(views.reproject(point).1).any();
                 assert!(one_more && !hidden && beyond(&there) == beyond(&fit), "{i} {power}");
                 certain += 1;
             }

@@ -1,16 +1,16 @@
 //! The same problems with every instruction set this machine has.
 
 use super::*;
-use crate::problems::{Problems, Trouble, unpleasant};
+use crate::problems::{Difficulty, Problems, difficult};
 use ffgs_testkit::vectorised;
 
 const COUNT: usize = 600;
 
 /// Does something with the problems as a batch.
 fn with_batch<T>(problems: &Problems, config: &TriangulationConfig, op: impl FnOnce(&Batch) -> T) -> T {
-    let lenses: Vec<Lens> = problems.cameras.iter().map(Lens::from).collect();
+    let view_cameras: Vec<ViewCamera> = problems.cameras.iter().map(ViewCamera::from).collect();
     let Problems { previous, observations, .. } = problems;
-    op(&Batch { config, previous, lenses: &lenses, observations })
+    op(&Batch { config, previous, view_cameras: &view_cameras, observations })
 }
 
 fn solve(set: usize, batch: &Batch, scales: Scales) -> Option<Vec<Outcome>> {
@@ -50,7 +50,7 @@ fn every_instruction_set_finds_the_same() {
     let configs = [TriangulationConfig::default(), rays, rule, TriangulationConfig::literal()];
     let cases = configs.iter().flat_map(|config| [(config, 0.15), (config, 0.3)]);
     for (case, (config, outliers)) in cases.enumerate() {
-        let problems = unpleasant(case as u64, COUNT, outliers);
+        let problems = difficult(case as u64, COUNT, outliers);
         with_batch(&problems, config, |batch| {
             let scales = batch.scales();
             let expected = solve(0, batch, scales).unwrap();
@@ -61,7 +61,7 @@ fn every_instruction_set_finds_the_same() {
                     if in_a_camera(&problems, i, a) || in_a_camera(&problems, i, b) {
                         excused += 1;
                     } else {
-                        assert!(same(a, b), "case {case}, {i} ({:?}): {a:?} {b:?}", Trouble::of(i));
+                        assert!(same(a, b), "case {case}, {i} ({:?}): {a:?} {b:?}", Difficulty::of(i));
                     }
                 }
                 assert!(excused <= COUNT / 100, "case {case}: {excused} points in cameras");
@@ -72,7 +72,7 @@ fn every_instruction_set_finds_the_same() {
 
 #[test]
 fn every_instruction_set_measures_the_same_noise() {
-    let problems = unpleasant(3, COUNT, 0.15);
+    let problems = difficult(3, COUNT, 0.15);
     let samples: Vec<u32> = (0..COUNT as u32).collect();
     with_batch(&problems, &TriangulationConfig::default(), |batch| {
         let residuals = |set| vectorised(set, SoftResiduals { batch, soft: 2.0, samples: &samples });
@@ -91,10 +91,10 @@ fn every_instruction_set_measures_the_same_noise() {
 #[test]
 fn parallel_rays_and_cameras_at_one_place_are_degenerate() {
     for config in [TriangulationConfig::default(), TriangulationConfig::literal()] {
-        let problems = unpleasant(5, 10 * COUNT, 0.0);
+        let problems = difficult(5, 10 * COUNT, 0.0);
         let outcomes = with_batch(&problems, &config, |batch| solve(0, batch, batch.scales()).unwrap());
         for (i, outcome) in outcomes.iter().enumerate() {
-            if matches!(Trouble::of(i), Trouble::ParallelRays | Trouble::OnePlace) {
+            if matches!(Difficulty::of(i), Difficulty::ParallelRays | Difficulty::OnePlace) {
                 assert_eq!(outcome.as_ref().err(), Some(&EstimateStatus::Degenerate), "{i}");
             }
         }

@@ -11,19 +11,19 @@ pub(crate) type Lanes = [f64; MAX_LANES];
 
 /// One number per SIMD lane; the dispatched instruction set decides how many.
 #[derive(Clone, Copy)]
-pub(crate) struct Real<S: Simd> {
+pub(crate) struct F64s<S: Simd> {
     simd: S,
     lanes: S::f64s,
 }
 
 /// One truth value per SIMD lane.
 #[derive(Clone, Copy)]
-pub(crate) struct Truth<S: Simd> {
+pub(crate) struct LaneMask<S: Simd> {
     simd: S,
     lanes: S::m64s,
 }
 
-impl<S: Simd> Real<S> {
+impl<S: Simd> F64s<S> {
     /// The same number in every lane.
     #[inline(always)]
     pub(crate) fn all(simd: S, value: f64) -> Self {
@@ -58,45 +58,45 @@ impl<S: Simd> Real<S> {
 
     /// `self * factor + addend`, fused where the instruction set can.
     #[inline(always)]
-    pub(crate) fn times_plus(self, factor: Self, addend: Self) -> Self {
+    pub(crate) fn mul_add(self, factor: Self, addend: Self) -> Self {
         Self { lanes: self.simd.mul_add_e_f64s(self.lanes, factor.lanes, addend.lanes), ..self }
     }
 
     /// `minuend - self * factor`, fused where the instruction set can.
     #[inline(always)]
-    pub(crate) fn times_minus(self, factor: Self, minuend: Self) -> Self {
+    pub(crate) fn neg_mul_add(self, factor: Self, minuend: Self) -> Self {
         Self { lanes: self.simd.negate_mul_add_e_f64s(self.lanes, factor.lanes, minuend.lanes), ..self }
     }
 
     /// Where this is greater than `bound`; NaN is not.
     #[inline(always)]
-    pub(crate) fn above(self, bound: Self) -> Truth<S> {
-        Truth { simd: self.simd, lanes: self.simd.greater_than_f64s(self.lanes, bound.lanes) }
+    pub(crate) fn gt(self, bound: Self) -> LaneMask<S> {
+        LaneMask { simd: self.simd, lanes: self.simd.greater_than_f64s(self.lanes, bound.lanes) }
     }
 
     /// Where this is at most `bound`; NaN is not.
     #[inline(always)]
-    pub(crate) fn up_to(self, bound: Self) -> Truth<S> {
-        Truth { simd: self.simd, lanes: self.simd.less_than_or_equal_f64s(self.lanes, bound.lanes) }
+    pub(crate) fn le(self, bound: Self) -> LaneMask<S> {
+        LaneMask { simd: self.simd, lanes: self.simd.less_than_or_equal_f64s(self.lanes, bound.lanes) }
     }
 
     /// The greater of two, lane by lane.
     #[inline(always)]
-    pub(crate) fn or_greater(self, other: Self) -> Self {
+    pub(crate) fn max(self, other: Self) -> Self {
         Self { lanes: self.simd.max_f64s(self.lanes, other.lanes), ..self }
     }
 
     /// The absolute value.
     #[inline(always)]
-    pub(crate) fn magnitude(self) -> Self {
+    pub(crate) fn abs(self) -> Self {
         Self { lanes: self.simd.abs_f64s(self.lanes), ..self }
     }
 
     /// Where this is a number and not infinite.
     #[inline(always)]
-    pub(crate) fn finite(self) -> Truth<S> {
+    pub(crate) fn finite(self) -> LaneMask<S> {
         let infinity = Self::all(self.simd, f64::INFINITY);
-        Truth {
+        LaneMask {
             simd: self.simd,
             lanes: self.simd.less_than_f64s(self.simd.abs_f64s(self.lanes), infinity.lanes),
         }
@@ -109,24 +109,24 @@ impl<S: Simd> Real<S> {
     }
 }
 
-impl<S: Simd> Truth<S> {
+impl<S: Simd> LaneMask<S> {
     /// `yes` where true, elsewhere `no`.
     #[inline(always)]
-    pub(crate) fn select(self, yes: Real<S>, no: Real<S>) -> Real<S> {
-        Real { simd: self.simd, lanes: self.simd.select_f64s(self.lanes, yes.lanes, no.lanes) }
+    pub(crate) fn select(self, yes: F64s<S>, no: F64s<S>) -> F64s<S> {
+        F64s { simd: self.simd, lanes: self.simd.select_f64s(self.lanes, yes.lanes, no.lanes) }
     }
 
-    /// As [`Truth::select`], of three coordinates.
+    /// As [`LaneMask::select`], of three coordinates.
     #[inline(always)]
-    pub(crate) fn select3(self, yes: [Real<S>; 3], no: [Real<S>; 3]) -> [Real<S>; 3] {
+    pub(crate) fn select3(self, yes: [F64s<S>; 3], no: [F64s<S>; 3]) -> [F64s<S>; 3] {
         [self.select(yes[0], no[0]), self.select(yes[1], no[1]), self.select(yes[2], no[2])]
     }
 
     /// False everywhere.
     #[inline(always)]
     pub(crate) fn nowhere(simd: S) -> Self {
-        let zero = Real::all(simd, 0.0);
-        zero.above(zero)
+        let zero = F64s::all(simd, 0.0);
+        zero.gt(zero)
     }
 
     /// Whether any lane is true.
@@ -137,7 +137,7 @@ impl<S: Simd> Truth<S> {
 
     /// Where this holds and `other` does not.
     #[inline(always)]
-    pub(crate) fn except(self, other: Self) -> Self {
+    pub(crate) fn and_not(self, other: Self) -> Self {
         let both = self.simd.and_m64s(self.lanes, other.lanes);
         Self { lanes: self.simd.xor_m64s(self.lanes, both), ..self }
     }
@@ -145,12 +145,12 @@ impl<S: Simd> Truth<S> {
     /// The lanes that are true.
     #[inline(always)]
     pub(crate) fn lanes(self) -> impl Iterator<Item = usize> {
-        let ones = self.select(Real::all(self.simd, 1.0), Real::all(self.simd, 0.0)).to_lanes();
+        let ones = self.select(F64s::all(self.simd, 1.0), F64s::all(self.simd, 0.0)).to_lanes();
         (0..S::F64_LANES).filter(move |&lane| ones[lane] > 0.0)
     }
 }
 
-impl<S: Simd> BitAnd for Truth<S> {
+impl<S: Simd> BitAnd for LaneMask<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -159,7 +159,7 @@ impl<S: Simd> BitAnd for Truth<S> {
     }
 }
 
-impl<S: Simd> BitOr for Truth<S> {
+impl<S: Simd> BitOr for LaneMask<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -168,7 +168,7 @@ impl<S: Simd> BitOr for Truth<S> {
     }
 }
 
-impl<S: Simd> Add for Real<S> {
+impl<S: Simd> Add for F64s<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -177,7 +177,7 @@ impl<S: Simd> Add for Real<S> {
     }
 }
 
-impl<S: Simd> Sub for Real<S> {
+impl<S: Simd> Sub for F64s<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -186,7 +186,7 @@ impl<S: Simd> Sub for Real<S> {
     }
 }
 
-impl<S: Simd> Mul for Real<S> {
+impl<S: Simd> Mul for F64s<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -195,7 +195,7 @@ impl<S: Simd> Mul for Real<S> {
     }
 }
 
-impl<S: Simd> Div for Real<S> {
+impl<S: Simd> Div for F64s<S> {
     type Output = Self;
 
     #[inline(always)]
@@ -206,25 +206,25 @@ impl<S: Simd> Div for Real<S> {
 
 /// The same point in every lane.
 #[inline(always)]
-pub(crate) fn all3<S: Simd>(simd: S, p: impl Into<[f64; 3]>) -> [Real<S>; 3] {
+pub(crate) fn all3<S: Simd>(simd: S, p: impl Into<[f64; 3]>) -> [F64s<S>; 3] {
     let [x, y, z] = p.into();
-    [Real::all(simd, x), Real::all(simd, y), Real::all(simd, z)]
+    [F64s::all(simd, x), F64s::all(simd, y), F64s::all(simd, z)]
 }
 
 /// `a + b`.
 #[inline(always)]
-pub(crate) fn plus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+pub(crate) fn plus<S: Simd>(a: [F64s<S>; 3], b: [F64s<S>; 3]) -> [F64s<S>; 3] {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 /// `a - b`.
 #[inline(always)]
-pub(crate) fn minus<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> [Real<S>; 3] {
+pub(crate) fn minus<S: Simd>(a: [F64s<S>; 3], b: [F64s<S>; 3]) -> [F64s<S>; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `a . b`.
 #[inline(always)]
-pub(crate) fn dot<S: Simd>(a: [Real<S>; 3], b: [Real<S>; 3]) -> Real<S> {
-    a[2].times_plus(b[2], a[1].times_plus(b[1], a[0] * b[0]))
+pub(crate) fn dot<S: Simd>(a: [F64s<S>; 3], b: [F64s<S>; 3]) -> F64s<S> {
+    a[2].mul_add(b[2], a[1].mul_add(b[1], a[0] * b[0]))
 }
