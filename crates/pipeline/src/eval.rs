@@ -32,10 +32,10 @@ pub fn has_vmaf() -> bool {
     Vmaf::find().is_ok()
 }
 
-/// The same without a word: the metrics, and why there is no VMAF where there is none.
+/// Renders and measures as `ffgs eval`, and prints nothing: the metrics, and why there is no VMAF where there is none.
 ///
 /// # Errors
-/// As [`eval`].
+/// When the run or its capture cannot be read, a result cannot be written, or ffmpeg fails.
 pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let run = FinishedRun::open(&args.run)?;
     let (capture, folder) = (&*run.capture, &run.folder);
