@@ -89,7 +89,7 @@ impl TexelGradients {
 }
 
 /// Which texels every pixel of a camera sees: 12 bytes per pixel. Depends on the camera's rotation only, and is made anew
-/// for each view in a fraction of a render: keep one and [`SkyView::aim`] it.
+/// for each view in a fraction of a render: keep one and aim it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SkyView {
     size: ImageSize,
