@@ -20,7 +20,12 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Both layers, the static one first.
+    /// Both layers, the static one first: what is rendered.
+    pub fn layers(&self) -> [&Gaussians; 2] {
+        [&self.static_layer, &self.dynamic.gaussians]
+    }
+
+    /// Copies both layers into one, the static one first. What only renders borrows [`Scene::layers`].
     #[must_use]
     pub fn joint(&self) -> Gaussians {
         let mut joint = Gaussians::clone(&self.static_layer);

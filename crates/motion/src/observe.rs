@@ -26,8 +26,7 @@ pub fn observe(
     let unobserved = || Observations::unobserved(input.step.before.len(), gaussians.len());
     let mut observations: Vec<_> = input.trackers.iter().map(|_| unobserved()).collect();
     let mut rows = rows(&mut observations);
-    let joint = shapes(gaussians, input.static_layer);
-    let scene = AssociationScene::new(&joint, input.previous);
+    let scene = AssociationScene::new(&[gaussians, input.static_layer], input.previous);
     let scratch = Mutex::new(Vec::new());
     let views: Vec<usize> =
         (0..input.step.before.len()).filter(|&v| input.step.before[v].mask.count() > 0).collect();
@@ -63,19 +62,6 @@ fn association<'a>(
         min_transmittance: config.min_transmittance,
         contributors: config.contributors,
     }
-}
-
-/// Both layers without their colours, the moving one first.
-pub(crate) fn shapes(moving: &Gaussians, fixed: &Gaussians) -> Gaussians {
-    let mut joint = Gaussians::empty(0);
-    for layer in [moving, fixed] {
-        joint.means.extend_from_slice(&layer.means);
-        joint.quats.extend_from_slice(&layer.quats);
-        joint.log_scales.extend_from_slice(&layer.log_scales);
-        joint.opacity_logits.extend_from_slice(&layer.opacity_logits);
-    }
-    joint.sh.resize(joint.means.len(), [0.0; 3]);
-    joint
 }
 
 /// (V) of (L): where each view writes.

@@ -140,10 +140,9 @@ impl<'a> Devices<'a> {
             gpu.release_unused();
             return Ok(rendered.into_iter().map(|r| r.image).collect());
         }
-        let (rasterizer, mut tape, joint) =
-            (CpuRasterizer::new(options), RenderTape::default(), scene.joint());
+        let (rasterizer, mut tape) = (CpuRasterizer::new(options), RenderTape::default());
         let render = |view| {
-            rasterizer.render(&joint, view, &mut tape);
+            rasterizer.render_layers(&scene.layers(), view, &mut tape);
             tape.image().clone()
         };
         Ok(views.iter().map(render).collect())

@@ -56,15 +56,14 @@ pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[T
     if scene.dynamic.gaussians.is_empty() {
         return;
     }
-    let count = scene.dynamic.gaussians.len();
-    let Gain { information: told, noise } = information_gain(&scene.joint(), count, &scene.sky, views);
+    let Gain { information: gained, noise } = information_gain(&scene.layers(), &scene.sky, views);
     let dynamic = &mut scene.dynamic;
-    for (covariance, told) in dynamic.covariances.iter_mut().zip(&told.positions) {
-        let joint = symmetric_inverse(symmetric_inverse(*covariance) + *told);
+    for (covariance, gained) in dynamic.covariances.iter_mut().zip(&gained.positions) {
+        let joint = symmetric_inverse(symmetric_inverse(*covariance) + *gained);
         *covariance = if joint.is_finite() { joint } else { *covariance };
     }
     let mut drift = dynamic.knowledge.drift;
-    let mut known = told.others;
+    let mut known = gained.others;
     if let Some(predicted) = predicted {
         let mut learnt = predicted.drift;
         let ends = (&predicted.start, &dynamic.gaussians);

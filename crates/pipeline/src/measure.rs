@@ -53,13 +53,12 @@ pub(crate) fn measure(
     shown: &Shown,
     frame: usize,
 ) -> Result<Measurement> {
-    let native = scene.joint();
     let mut sums: [Sums; 3] = Default::default();
     for truth in load_tests(capture, frame)? {
         let own_sky = sky_picture(&scene.sky, &truth.camera);
-        let (ours, opaque) = render(&native, &own_sky, &truth, true);
+        let (ours, opaque) = render(&scene.layers(), &own_sky, &truth, true);
         let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, &truth));
-        let (theirs, _) = render(shown.gaussians, &behind, &truth, shown.antialiased);
+        let (theirs, _) = render(&[shown.gaussians], &behind, &truth, shown.antialiased);
         let everything = Mask::filled(truth.camera.size(), true);
         for (sums, mask) in sums.iter_mut().zip([&everything, &opaque, &truth.mask]) {
             sums.run.extend(mpsnr(&ours, &truth.image, mask)?);
@@ -83,7 +82,7 @@ fn mean(values: &[f64]) -> Option<f64> {
 
 /// Picture and opaque pixels.
 fn render(
-    gaussians: &Gaussians,
+    layers: &[&Gaussians],
     behind: &PlanarImage,
     truth: &TrainingView,
     antialiased: bool,
@@ -91,7 +90,7 @@ fn render(
     let view = View { camera: &truth.camera, background: Background::Image(behind), tiles: None };
     let mut tape = RenderTape::default();
     CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
-        .render(gaussians, &view, &mut tape);
+        .render_layers(layers, &view, &mut tape);
     let opaque = tape.transmittance().iter().map(|&t| u8::from(t < OPAQUE)).collect();
     let mask = Mask::new(truth.camera.size(), opaque);
     (tape.image().clone(), mask.unwrap_or_else(|| Mask::filled(truth.camera.size(), true)))

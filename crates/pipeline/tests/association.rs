@@ -68,7 +68,7 @@ fn the_heaviest_contributors_are_those_of_the_lists() {
         min_transmittance: 1e-4,
         contributors: CONTRIBUTORS,
     };
-    let scene = AssociationScene::new(&gaussians, &means);
+    let scene = AssociationScene::new(&[&gaussians], &means);
     association.observe(&scene, &mut out, &mut AssociationScratch::default());
 
     let seen = expected.coverage.iter().filter(|c| **c > 0.0).count();

@@ -52,15 +52,15 @@ pub struct AssociationScratch {
 /// The Gaussians of t-1, for all views.
 #[derive(Debug)]
 pub struct AssociationScene<'a> {
-    gaussians: &'a Gaussians,
+    layers: Vec<&'a Gaussians>,
     means: &'a [DVec3],
     bounds: ChunkBounds,
 }
 
 impl<'a> AssociationScene<'a> {
-    /// The first N of `gaussians` move and lie at `means` (m); the others only hide what is behind them.
-    pub fn new(gaussians: &'a Gaussians, means: &'a [DVec3]) -> Self {
-        Self { gaussians, means, bounds: ChunkBounds::new(gaussians) }
+    /// The first N Gaussians of `layers` together move and lie at `means` (m); the others only occlude what is behind them.
+    pub fn new(layers: &[&'a Gaussians], means: &'a [DVec3]) -> Self {
+        Self { layers: layers.to_vec(), means, bounds: ChunkBounds::new(layers) }
     }
 }
 
@@ -155,14 +155,14 @@ impl Association<'_> {
     /// mask. With `contributors` each pixel counts for the heaviest `a` only, of all Gaussians. Colours are not looked at.
     pub fn observe(&self, scene: &AssociationScene, out: &mut [Observed], scratch: &mut AssociationScratch) {
         let AssociationScratch { tape, sums } = scratch;
-        let AssociationScene { gaussians, means, bounds } = scene;
+        let AssociationScene { layers, means, bounds } = scene;
         let tiles = TileMask::covering(self.mask);
         let view =
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
         let rasterizer =
             CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
         let channels = Channels::new(*self);
-        let summed = Summed { gaussians, bounds: Some(bounds), wanted: means.len() };
+        let summed = Summed { layers, bounds: Some(bounds), wanted: means.len() };
         rasterizer.sum_entries(&summed, &view, &channels, tape, sums);
         sums.for_each(tape, means.len(), |i, values, hits| {
             if values[0] <= self.min_coverage || hits < self.min_hits {
@@ -206,7 +206,7 @@ mod tests {
         // The second tracker knows three of the four pixels; whatever it says of the fourth may not come in.
         let mut gap = field.clone();
         (gap.flow[15 * 32 + 16], gap.confidence[15 * 32 + 16]) = ([f32::NAN; 2], 0.0);
-        let scene = AssociationScene::new(&gaussians, &means);
+        let scene = AssociationScene::new(&[&gaussians], &means);
         // The transmittances behind them are 0.2, 0.04, 0.008 and 0.0016.
         for (min_transmittance, seen) in [(1e-4, 4), (5e-3, 3), (1e-2, 2), (0.1, 1), (0.5, 0)] {
             let mut columns = [0, 1].map(|_| (vec![DVec2::ZERO; 4], vec![0.0; 4]));

@@ -217,7 +217,7 @@ mod tests {
         let (gaussians, camera) = scene();
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions::default()).prepare(&gaussians, &view, &mut tape);
+        CpuRasterizer::new(RenderOptions::default()).prepare(&[&gaussians], &view, &mut tape);
         let mut upstream = PlanarImage::zeros(SIZE);
         upstream.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (i as f32 * 0.1).sin());
         let upstream = PixelGradients { image: &upstream, transmittance: None };

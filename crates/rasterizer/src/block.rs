@@ -1,7 +1,6 @@
 //! Gaussians in blocks of a fixed size, one column a parameter: what is written as a loop over a block runs in the
 //! lanes of the dispatched instruction set.
 
-use crate::dropout::Dropout;
 use crate::elementary::sigmoid;
 use crate::projection::{Extent, PinholeF32, Splat, offset, splat};
 use ffgs_core::Gaussians;
@@ -26,16 +25,9 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Loads Gaussian `i` into lane `k`.
+    /// Loads Gaussian `i` into lane `k`; `factor` is that of its opacity.
     #[inline(always)]
-    pub(crate) fn load(
-        &mut self,
-        k: usize,
-        g: &Gaussians,
-        i: usize,
-        camera: &PinholeF32,
-        dropout: Option<Dropout>,
-    ) {
+    pub(crate) fn load(&mut self, k: usize, g: &Gaussians, i: usize, camera: &PinholeF32, factor: f32) {
         let from_camera = offset(g.means[i], camera.center);
         let (quat, scales) = (g.quats[i], g.log_scales[i]);
         for axis in 0..3 {
@@ -46,7 +38,7 @@ impl Block {
             self.quat[axis][k] = quat[axis];
         }
         self.opacity_logit[k] = g.opacity_logits[i];
-        self.factor[k] = dropout.map_or(1.0, |dropout| dropout.factor(i));
+        self.factor[k] = factor;
     }
 
     /// Position of lane `k`.

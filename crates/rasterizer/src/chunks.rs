@@ -7,9 +7,32 @@ use crate::tiles::{TileGrid, TileMask, tile_range};
 use ffgs_core::Gaussians;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Gaussians projected as one unit of parallel work.
 pub(crate) const CHUNK: usize = 1024;
+
+/// Consecutive Gaussians of one layer.
+#[derive(Clone, Debug)]
+pub(crate) struct Chunk<'a> {
+    pub(crate) layer: &'a Gaussians,
+    /// Indices in the layer.
+    pub(crate) range: Range<usize>,
+    /// Number of Gaussians in the layers before.
+    pub(crate) before: usize,
+}
+
+/// All chunks of some layers, in the order of the Gaussians.
+pub(crate) fn chunks_of<'a>(layers: &[&'a Gaussians]) -> Vec<Chunk<'a>> {
+    let mut before = 0;
+    let mut chunks = Vec::new();
+    for &layer in layers {
+        let starts = (0..layer.len()).step_by(CHUNK);
+        chunks.extend(starts.map(|s| Chunk { layer, range: s..(s + CHUNK).min(layer.len()), before }));
+        before += layer.len();
+    }
+    chunks
+}
 
 /// Where chunks of consecutive Gaussians lie. Worth making once for many views, where neighbours in memory are neighbours
 /// in space.
@@ -28,9 +51,11 @@ struct Sphere {
 
 impl ChunkBounds {
     /// Of all chunks.
-    pub(crate) fn new(gaussians: &Gaussians) -> Self {
-        let chunks = gaussians.means.par_chunks(CHUNK).zip(gaussians.log_scales.par_chunks(CHUNK));
-        Self(chunks.map(|(means, log_scales)| Sphere::around(means, log_scales)).collect())
+    pub(crate) fn new(layers: &[&Gaussians]) -> Self {
+        let around = |Chunk { layer, range, .. }: &Chunk| {
+            Sphere::around(&layer.means[range.clone()], &layer.log_scales[range.clone()])
+        };
+        Self(chunks_of(layers).par_iter().map(around).collect())
     }
 
     /// Numbers of the chunks that may reach a computed tile, ascending. `size` is that of the image (px).
@@ -131,7 +156,7 @@ mod tests {
     #[test]
     fn nothing_in_sight_is_ruled_out() {
         let gaussians = ring();
-        let bounds = ChunkBounds::new(&gaussians);
+        let bounds = ChunkBounds::new(&[&gaussians]);
         let size = ImageSize { width: 100, height: 60 };
         let mut spot = vec![0; size.pixels()];
         spot[31 * size.width + 70..31 * size.width + 78].fill(1);
@@ -146,8 +171,8 @@ mod tests {
             let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles };
             let rasterizer =
                 CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
-            rasterizer.prepare(&gaussians, &view, &mut all);
-            rasterizer.prepare_within(&gaussians, Some(&bounds), &view, &mut some);
+            rasterizer.prepare(&[&gaussians], &view, &mut all);
+            rasterizer.prepare_within(&[&gaussians], Some(&bounds), &view, &mut some);
             assert!(all.visible() > 0);
             assert!(all.visible_indices().eq(some.visible_indices()), "step {step}");
             let (size, grid) = ([100.0, 60.0], TileGrid::new(size));

@@ -2,11 +2,10 @@
 
 use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::block::{BLOCK, Block, Projected};
-use crate::chunks::{CHUNK, ChunkBounds};
+use crate::chunks::{Chunk, ChunkBounds, chunks_of};
 use crate::compose::compose;
 use crate::constants::MIN_TRANSMITTANCE;
 use crate::coverage::cover;
-use crate::dropout::Dropout;
 use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
 use crate::tile_lists::Entry;
@@ -33,7 +32,13 @@ impl CpuRasterizer {
 
     /// Renders one view into `tape`, which keeps the image, the transmittance and what the backward pass needs.
     pub fn render(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
-        self.prepare(gaussians, view, tape);
+        self.render_layers(&[gaussians], view, tape);
+    }
+
+    /// As [`CpuRasterizer::render`], for several layers sorted by depth together; nothing of them is copied. Indices
+    /// count through the layers in their order.
+    pub fn render_layers(&self, layers: &[&Gaussians], view: &View, tape: &mut RenderTape) {
+        self.prepare(layers, view, tape);
         let arch = instructions();
         let RenderTape { pixels, lists, splats, grid, .. } = tape;
         pixels.par_iter_mut().enumerate().for_each(|(tile, out)| {
@@ -43,39 +48,36 @@ impl CpuRasterizer {
         compose(view, tape);
     }
 
-    /// Projects, sorts and deals to tiles: everything before blending.
-    pub(crate) fn prepare(&self, gaussians: &Gaussians, view: &View, tape: &mut RenderTape) {
-        self.prepare_within(gaussians, None, view, tape);
+    /// Projects, sorts and assigns to tiles: everything before blending.
+    pub(crate) fn prepare(&self, layers: &[&Gaussians], view: &View, tape: &mut RenderTape) {
+        self.prepare_within(layers, None, view, tape);
     }
 
     /// As [`CpuRasterizer::prepare`], without the chunks of Gaussians that `bounds` rule out.
     pub(crate) fn prepare_within(
         &self,
-        gaussians: &Gaussians,
+        layers: &[&Gaussians],
         bounds: Option<&ChunkBounds>,
         view: &View,
         tape: &mut RenderTape,
     ) {
         tape.grid = TileGrid::new(view.camera.size());
-        self.project(gaussians, bounds, view, tape);
+        self.project(layers, bounds, view, tape);
         tape.lists.finish(&tape.splats, &tape.spans, tape.grid, view.tiles);
         tape.pixels.resize_with(tape.grid.count(), TilePixels::default);
     }
 
     fn project(
         &self,
-        gaussians: &Gaussians,
+        layers: &[&Gaussians],
         bounds: Option<&ChunkBounds>,
         view: &View,
         tape: &mut RenderTape,
     ) {
         let size = view.camera.size();
         let shared = Projection {
-            gaussians,
+            options: self.options,
             camera: PinholeF32::from(view.camera),
-            antialiased: self.options.antialiased,
-            dropout: self.options.dropout,
-            degree: active_degree(gaussians, self.options),
             size: [size.width as f32, size.height as f32],
             grid: tape.grid,
             mask: view.tiles,
@@ -85,20 +87,21 @@ impl CpuRasterizer {
         spans.clear();
         lists.begin(*grid);
         let mut append = Append { splats, spans, lists, grid: *grid, mask: view.tiles };
-        let chunks: Vec<usize> = match bounds {
-            Some(bounds) => bounds.in_sight(&shared.camera, shared.size, *grid, view.tiles).collect(),
-            None => (0..gaussians.len().div_ceil(CHUNK)).collect(),
-        };
+        let mut chunks = chunks_of(layers);
+        if let Some(bounds) = bounds {
+            let in_sight = bounds.in_sight(&shared.camera, shared.size, *grid, view.tiles);
+            chunks = in_sight.map(|number| chunks[number].clone()).collect();
+        }
         let group = CHUNKS_AHEAD * rayon::current_num_threads();
         let buffers = group.min(chunks.len()).max(next.len());
         ready.resize_with(buffers, ChunkSplats::default);
         next.resize_with(buffers, ChunkSplats::default);
         let mut waiting = 0;
-        for numbers in chunks.chunks(group) {
-            let (done, free) = (&ready[..waiting], &mut next[..numbers.len()]);
-            rayon::join(|| append.all(done), || project_chunks(&shared, numbers, free));
+        for chunks in chunks.chunks(group) {
+            let (done, free) = (&ready[..waiting], &mut next[..chunks.len()]);
+            rayon::join(|| append.all(done), || project_chunks(&shared, chunks, free));
             std::mem::swap(ready, next);
-            waiting = numbers.len();
+            waiting = chunks.len();
         }
         append.all(&ready[..waiting]);
     }
@@ -106,21 +109,18 @@ impl CpuRasterizer {
 
 /// What every chunk of a projection reads.
 struct Projection<'a> {
-    gaussians: &'a Gaussians,
+    options: RenderOptions,
     camera: PinholeF32,
-    antialiased: bool,
-    dropout: Option<Dropout>,
-    degree: usize,
     /// Of the image (px).
     size: [f32; 2],
     grid: TileGrid,
     mask: Option<&'a TileMask>,
 }
 
-/// Projects up to [`CHUNK`] Gaussians from `first` on.
+/// Projects the Gaussians of a chunk.
 struct ProjectChunk<'a> {
     shared: &'a Projection<'a>,
-    first: usize,
+    chunk: &'a Chunk<'a>,
     out: &'a mut ChunkSplats,
 }
 
@@ -129,44 +129,40 @@ impl WithSimd for ProjectChunk<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { shared, first, out } = self;
+        let Self { shared, chunk, out } = self;
+        let Chunk { layer, ref range, before } = *chunk;
+        let RenderOptions { antialiased, dropout, .. } = shared.options;
+        let degree = active_degree(layer, shared.options);
         out.splats.clear();
         out.spans.clear();
-        let end = (first + CHUNK).min(shared.gaussians.len());
         let (mut block, mut projected) = (Block::default(), Projected::default());
-        for start in (first..end).step_by(BLOCK) {
-            let count = BLOCK.min(end - start);
+        for start in range.clone().step_by(BLOCK) {
+            let count = BLOCK.min(range.end - start);
             for k in 0..count {
-                block.load(k, shared.gaussians, start + k, &shared.camera, shared.dropout);
+                let factor = dropout.map_or(1.0, |dropout| dropout.factor(before + start + k));
+                block.load(k, layer, start + k, &shared.camera, factor);
             }
-            block.project(&shared.camera, shared.antialiased, shared.size, &mut projected);
+            block.project(&shared.camera, antialiased, shared.size, &mut projected);
             for k in 0..count {
-                if projected.opacity[k] > 0.0 {
-                    shared.keep(&projected, k, start + k, out);
+                if !(projected.opacity[k] > 0.0) {
+                    continue;
+                }
+                let (mut splat, extent) = projected.splat(k, before + start + k);
+                if cover(&mut splat, &extent, shared.grid, shared.mask, &mut out.spans) {
+                    let colour = view_colour(layer, start + k, &shared.camera, degree);
+                    splat.colour = colour.max(glam::Vec3::ZERO).to_array();
+                    out.splats.push(splat);
                 }
             }
         }
     }
 }
 
-impl Projection<'_> {
-    /// Adds lane `k`, Gaussian `index`, to the splats if it reaches a computed tile.
-    #[inline(always)]
-    fn keep(&self, projected: &Projected, k: usize, index: usize, out: &mut ChunkSplats) {
-        let (mut splat, extent) = projected.splat(k, index);
-        if cover(&mut splat, &extent, self.grid, self.mask, &mut out.spans) {
-            let colour = view_colour(self.gaussians, index, &self.camera, self.degree);
-            splat.colour = colour.max(glam::Vec3::ZERO).to_array();
-            out.splats.push(splat);
-        }
-    }
-}
-
-/// Projects the chunks with these numbers.
-fn project_chunks(shared: &Projection, numbers: &[usize], chunks: &mut [ChunkSplats]) {
+/// Projects each chunk into its own buffer.
+fn project_chunks(shared: &Projection, chunks: &[Chunk], projected: &mut [ChunkSplats]) {
     let arch = instructions();
-    chunks.par_iter_mut().zip(numbers).for_each(|(out, number)| {
-        arch.dispatch(ProjectChunk { shared, first: number * CHUNK, out });
+    projected.par_iter_mut().zip(chunks).for_each(|(out, chunk)| {
+        arch.dispatch(ProjectChunk { shared, chunk, out });
     });
 }
 

@@ -87,7 +87,13 @@ impl CpuRasterizer {
         sums.resize(n * count, 0.0);
         hits.clear();
         hits.resize(n, 0);
-        self.sum_entries(&Summed { gaussians, bounds: None, wanted: n }, view, &channels, tape, by_entry);
+        self.sum_entries(
+            &Summed { layers: &[gaussians], bounds: None, wanted: n },
+            view,
+            &channels,
+            tape,
+            by_entry,
+        );
         by_entry.for_each(tape, n, |i, values, hit| {
             sums[i * count..(i + 1) * count].copy_from_slice(values);
             hits[i] = hit;
@@ -103,8 +109,8 @@ impl CpuRasterizer {
         tape: &mut RenderTape,
         out: &mut EntrySums,
     ) {
-        let &Summed { gaussians, bounds, wanted } = summed;
-        self.prepare_within(gaussians, bounds, view, tape);
+        let &Summed { layers, bounds, wanted } = summed;
+        self.prepare_within(layers, bounds, view, tape);
         let (arch, size, width) = (instructions(), view.camera.size(), channels.count() + 1);
         let finished = channels.finished();
         let RenderTape { lists, splats, grid, .. } = tape;
@@ -150,8 +156,8 @@ impl CpuRasterizer {
 /// Gaussians whose footprints are summed.
 pub(crate) struct Summed<'a> {
     /// All that is rendered.
-    pub(crate) gaussians: &'a Gaussians,
-    /// Chunks of them that are out of a view's sight are passed over.
+    pub(crate) layers: &'a [&'a Gaussians],
+    /// Chunks of them that are out of a view's sight are skipped.
     pub(crate) bounds: Option<&'a ChunkBounds>,
     /// The first so many are summed; the others only hide what is behind them.
     pub(crate) wanted: usize,

@@ -60,23 +60,24 @@ impl Information {
 }
 
 impl CpuRasterizer {
-    /// Adds to `out` what the view that `render` drew into `tape` tells of `gaussians`, when an error of pixel p in each
-    /// channel has the inverse variance `weights[p]` (H * W). `out` is of the last `out.len()` Gaussians: the others only
-    /// stand in their way, and tiles without any of them cost nothing.
+    /// Adds to `out` the information that a view holds on the last of the `layers` that `render_layers` drew into `tape`,
+    /// when an error of pixel p in each channel has the inverse variance `weights[p]` (H * W). The other layers occlude and
+    /// are seen through; tiles without any Gaussian of the last layer cost nothing.
     ///
     /// # Panics
-    /// When `out` is of more Gaussians, or of another SH degree.
+    /// When `out` has another number of Gaussians than the last layer, or another SH degree.
     pub fn add_information(
         &self,
-        gaussians: &Gaussians,
+        layers: &[&Gaussians],
         view: &View,
         tape: &RenderTape,
         weights: &[f32],
         out: &mut Information,
     ) {
+        let [before @ .., gaussians] = layers else { return };
         let same_degree = out.others.sh_degree() == gaussians.sh_degree();
-        assert!(out.len() <= gaussians.len() && same_degree, "shapes differ");
-        let first = gaussians.len() - out.len();
+        assert!(out.len() == gaussians.len() && same_degree, "shapes differ");
+        let first: usize = before.iter().map(|layer| layer.len()).sum();
         let entries = square_tiles(view, tape, weights, first);
         let parameters = Parameters {
             gaussians,
@@ -84,13 +85,14 @@ impl CpuRasterizer {
             antialiased: self.options.antialiased,
             degree: projection::active_degree(gaussians, self.options),
         };
-        let of_slot = |&slot: &usize| parameters.told(&tape.splats[slot], &sums_of(tape, &entries, slot));
-        let slots = (0..tape.splats.len()).filter(|&slot| tape.splats[slot].index as usize >= first);
-        let slots: Vec<usize> = slots.collect();
-        let told: Vec<Told> = slots.par_iter().map(of_slot).collect();
-        for (&slot, told) in slots.iter().zip(&told) {
-            told.add_to(tape.splats[slot].index as usize - first, out);
-        }
+        // Splats are in the order of the Gaussians.
+        let slots = tape.splats.partition_point(|splat| (splat.index as usize) < first)..tape.splats.len();
+        let index = |slot: usize| tape.splats[slot].index as usize - first;
+        let of_slot = |slot: usize| {
+            parameters.information(index(slot), &tape.splats[slot], &sums_of(tape, &entries, slot))
+        };
+        let found: Vec<SplatInformation> = slots.clone().into_par_iter().map(of_slot).collect();
+        slots.zip(&found).for_each(|(slot, found)| found.add_to(index(slot), out));
     }
 }
 
@@ -232,8 +234,8 @@ impl<S: Simd> Visitor<S> for Square<'_, S> {
     }
 }
 
-/// What one view tells of one Gaussian.
-struct Told {
+/// Information of one Gaussian's parameters in one view.
+struct SplatInformation {
     position: DMat3,
     turns: [f32; 3],
     log_scales: [f32; 3],
@@ -244,7 +246,7 @@ struct Told {
     coefficients: usize,
 }
 
-impl Told {
+impl SplatInformation {
     fn add_to(&self, i: usize, out: &mut Information) {
         out.positions[i] += self.position;
         let stride = out.others.sh_stride();
@@ -268,15 +270,15 @@ struct Parameters<'a> {
 }
 
 impl Parameters<'_> {
-    fn told(&self, splat: &Splat, sums: &[f64; SUMS]) -> Told {
-        let (g, i) = (self.gaussians, splat.index as usize);
+    fn information(&self, i: usize, splat: &Splat, sums: &[f64; SUMS]) -> SplatInformation {
+        let g = self.gaussians;
         let offset = projection::offset(g.means[i], self.camera.center);
         let ewa = projection::ewa(offset, g.quats[i], g.log_scales[i], &self.camera);
         let filtered = projection::filter(&ewa, self.antialiased);
         let shape = Shape::new(&ewa, &filtered, self.antialiased, sums);
         let bare = f64::from(sigmoid(g.opacity_logits[i]));
         let shown = splat.colour.map(|c| if c > 0.0 { sums[9] as f32 } else { 0.0 });
-        Told {
+        SplatInformation {
             position: shape.position(&ewa),
             turns: shape.turns().map(|v| v as f32),
             log_scales: [0, 1, 2].map(|k| shape.stretch(k) as f32),
@@ -412,24 +414,27 @@ mod tests {
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
         let mut out = Information::none(g.len(), 1);
-        rasterizer.add_information(&g, &view, &tape, &weights(), &mut out);
+        rasterizer.add_information(&[&g], &view, &tape, &weights(), &mut out);
         out
     }
 
-    /// The information of some is that which a pass over all gives them, bit by bit.
+    /// Layers render as all Gaussians in one, and the information on the last is the same, bit by bit.
     #[test]
-    fn a_part_is_told_the_same_as_all() {
+    fn layers_are_rendered_as_one() {
         let (g, camera) = scene();
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
         let rasterizer =
             CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
-        let all = information(true);
+        let (image, all) = (tape.image().clone(), information(true));
         for first in 0..=g.len() {
-            let rest: Vec<usize> = (first..g.len()).collect();
+            let [before, rest] = [0..first, first..g.len()].map(Iterator::collect::<Vec<usize>>);
+            let layers = [&g.select(&before), &g.select(&rest)];
+            rasterizer.render_layers(&layers, &view, &mut tape);
+            assert!(*tape.image() == image, "from {first}");
             let mut part = Information::none(rest.len(), 1);
-            rasterizer.add_information(&g, &view, &tape, &weights(), &mut part);
+            rasterizer.add_information(&layers, &view, &tape, &weights(), &mut part);
             assert!(part == all.select(&rest), "from {first}");
         }
     }
@@ -448,29 +453,29 @@ mod tests {
     }
 
     #[test]
-    fn squares_match_finite_differences() {
+    fn information_matches_finite_differences() {
         let (g, camera) = scene();
         for antialiased in [false, true] {
-            let told = information(antialiased);
+            let information = information(antialiased);
             let by = |change: &dyn Fn(&mut Gaussians, f32)| derivative(&camera, antialiased, change);
             for i in 0..g.len() {
                 for k in 0..3 {
                     let d = by(&|g, h| g.log_scales[i][k] += h);
-                    let found = f64::from(told.others.log_scales[i][k]);
+                    let found = f64::from(information.others.log_scales[i][k]);
                     assert_close(found, inner(&d, &d), &format!("scale {k} of {i}"));
                 }
                 for k in 0..3 {
                     let d = by(&|g, h| g.quats[i] = turned(g.quats[i], k, h));
-                    let found = f64::from(told.others.quats[i][k + 1]);
+                    let found = f64::from(information.others.quats[i][k + 1]);
                     assert_close(found, inner(&d, &d), &format!("turn {k} of {i}"));
                 }
                 for k in 0..4 {
                     let d = by(&|g, h| g.sh[4 * i + k][0] += h);
-                    let found = f64::from(told.others.sh[4 * i + k][0]);
+                    let found = f64::from(information.others.sh[4 * i + k][0]);
                     assert_close(found, inner(&d, &d), &format!("colour {k} of {i}"));
                 }
                 let d = by(&|g, h| g.opacity_logits[i] += h);
-                assert_close(f64::from(told.others.opacity_logits[i]), inner(&d, &d), "opacity");
+                assert_close(f64::from(information.others.opacity_logits[i]), inner(&d, &d), "opacity");
             }
         }
     }
@@ -480,7 +485,7 @@ mod tests {
     #[test]
     fn positions_match_finite_differences_across_the_ray() {
         let (g, camera) = scene();
-        let told = information(false);
+        let information = information(false);
         let [right, down] = [camera.rotation().transpose().x_axis, camera.rotation().transpose().y_axis];
         for i in 0..g.len() {
             let moved = |along: DVec3| {
@@ -492,7 +497,7 @@ mod tests {
             let (x, y) = (moved(right), moved(down));
             for (a, b, along, other) in [(&x, &x, right, right), (&y, &y, down, down), (&x, &y, right, down)]
             {
-                let (found, want) = (along.dot(told.positions[i] * other), inner(a, b));
+                let (found, want) = (along.dot(information.positions[i] * other), inner(a, b));
                 let size = (inner(a, a) * inner(b, b)).sqrt();
                 assert!((found - want).abs() < 0.1 * size, "{i}: {found}, differences {want} of {size}");
             }

@@ -212,7 +212,8 @@ impl Context<'_> {
     /// Loads Gaussian `i` into lane `k` and differentiates its colour.
     #[inline(always)]
     fn load(&self, input: &mut BlockInput, k: usize, i: usize, slot: usize) -> ColourGradient {
-        input.block.load(k, self.gaussians, i, &self.camera, self.options.dropout);
+        let factor = self.options.dropout.map_or(1.0, |dropout| dropout.factor(i));
+        input.block.load(k, self.gaussians, i, &self.camera, factor);
         let e = &input.entries;
         let colour = self.colour(i, slot, [e[6][k], e[7][k], e[8][k]]);
         for axis in 0..3 {

@@ -17,7 +17,7 @@ impl CpuRasterizer {
         tape: &mut RenderTape,
         out: &mut SplitLayers,
     ) {
-        self.prepare(gaussians, view, tape);
+        self.prepare(&[gaussians], view, tape);
         let (arch, size) = (instructions(), view.camera.size());
         let RenderTape { pixels, lists, splats, grid, .. } = tape;
         out.reset(size);

@@ -31,7 +31,7 @@ impl CpuRasterizer {
         count: usize,
         tape: &mut RenderTape,
     ) -> TopContributors {
-        self.prepare(gaussians, view, tape);
+        self.prepare(&[gaussians], view, tape);
         let (size, grid, lists, splats) = (view.camera.size(), tape.grid, &tape.lists, &tape.splats);
         let width = size.width;
         let n = size.pixels() * count;

@@ -65,7 +65,7 @@ fn observe(balls: &[Ball], moving: usize, contributors: usize) -> (Vec<DVec2>, V
         min_transmittance: 1e-4,
         contributors,
     };
-    let scene = AssociationScene::new(&gaussians, &means[..moving]);
+    let scene = AssociationScene::new(&[&gaussians], &means[..moving]);
     let mut out = [Observed { targets: &mut targets, weights: &mut weights }];
     association.observe(&scene, &mut out, &mut AssociationScratch::default());
     (targets, weights)

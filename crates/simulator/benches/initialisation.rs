@@ -114,7 +114,7 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
             .zip(columns)
             .for_each(|(row, (targets, weights))| row.push(Observed { targets, weights }));
     }
-    let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
+    let gaussians = AssociationScene::new(&[&scene.joint], &scene.previous);
     watch.stop(3);
     let group = ((1 << 30) / (scene.views[0].mask.size().pixels() * 48)).clamp(1, views);
     let scratch = Mutex::new(Vec::<AssociationScratch>::new());

@@ -65,7 +65,7 @@ fn associate(b: &mut criterion::Bencher, association: &Association, scene: &Scen
     let n = scene.previous.len();
     let mut columns = vec![(vec![DVec2::ZERO; n], vec![0.0; n]); association.fields.len()];
     let mut scratch = AssociationScratch::default();
-    let gaussians = AssociationScene::new(&scene.joint, &scene.previous);
+    let gaussians = AssociationScene::new(&[&scene.joint], &scene.previous);
     b.iter(|| {
         let mut out: Vec<Observed> =
             columns.iter_mut().map(|(targets, weights)| Observed { targets, weights }).collect();

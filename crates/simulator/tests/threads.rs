@@ -105,7 +105,7 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>], contributors: usize) -> V
             min_transmittance: 1e-2,
             contributors,
         };
-        let joint = AssociationScene::new(&scene.joint, &scene.previous);
+        let joint = AssociationScene::new(&[&scene.joint], &scene.previous);
         association.observe(&joint, &mut out, &mut AssociationScratch::default());
     }
     observations

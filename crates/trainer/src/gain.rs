@@ -1,4 +1,4 @@
-//! What the photographs of a frame tell of every parameter, and how sure a pixel is.
+//! Information on every parameter in the photographs of a frame, and the noise of their pixels.
 
 use crate::background::SkyBehind;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
@@ -22,7 +22,7 @@ pub struct PixelNoise {
     pub correlated: f64,
 }
 
-/// What one frame tells.
+/// The information of one frame.
 #[derive(Clone, Debug)]
 pub struct Gain {
     /// Information of every parameter.
@@ -31,22 +31,24 @@ pub struct Gain {
     pub noise: PixelNoise,
 }
 
-/// What the views tell of the last `count` of all Gaussians. Passes over all views with all layers together. Foreground
-/// and background have each their own noise in every view, so that a camera that fits badly tells less.
-pub fn information_gain(gaussians: &Gaussians, count: usize, sky: &SkyCube, views: &[TrainingView]) -> Gain {
+/// The information that the views hold on the last of the `layers`, which are rendered together. Foreground and background
+/// have each their own noise in every view, so that a camera that fits badly counts less.
+pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingView]) -> Gain {
     let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
-    let mut information = Information::none(count, gaussians.sh_degree());
+    let mut information = layers
+        .last()
+        .map_or_else(Information::default, |layer| Information::none(layer.len(), layer.sh_degree()));
     let mut foreground = Vec::new();
     for view in views {
         let background = Background::Image(behind.render(sky, &view.camera));
         let frame = View { camera: &view.camera, background, tiles: None };
-        rasterizer.render(gaussians, &frame, &mut tape);
+        rasterizer.render_layers(layers, &frame, &mut tape);
         let errors = Errors::new(view, tape.image());
         let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
         foreground.extend(inside.map(|noise| (noise, view.mask.count())));
         let weights = errors.weights([outside, inside]);
-        rasterizer.add_information(gaussians, &frame, &tape, &weights, &mut information);
+        rasterizer.add_information(layers, &frame, &tape, &weights, &mut information);
     }
     Gain { information, noise: mean_noise(&foreground) }
 }

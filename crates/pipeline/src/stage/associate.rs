@@ -35,7 +35,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
         min_transmittance: config.min_transmittance,
         contributors: config.contributors,
     };
-    let scene = AssociationScene::new(&gaussians, &means);
+    let scene = AssociationScene::new(&[&gaussians], &means);
     association.observe(&scene, &mut observed, &mut AssociationScratch::default());
     let targets: Vec<f64> = targets.iter().flat_map(DVec2::to_array).collect();
     let mut results = NpzWriter::new();
