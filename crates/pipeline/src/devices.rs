@@ -1,13 +1,14 @@
 //! Training and rendering on the device of a run: each function picks the CPU or a GPU.
 
+use crate::picture::sky_picture;
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
     BackgroundConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
-    FirstFrame, FirstFrameConfig, Photographed, Progress, SkyView, StaticLane, Surroundings,
-    train_disoccluded, train_dynamic, train_first_frame, train_sky,
+    FirstFrame, FirstFrameConfig, Photographed, Progress, StaticLane, Surroundings, train_disoccluded,
+    train_dynamic, train_first_frame, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
@@ -147,13 +148,6 @@ impl<'a> Devices<'a> {
         };
         Ok(views.iter().map(render).collect())
     }
-}
-
-/// What a camera sees of the sky.
-pub(crate) fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
-    let mut picture = PlanarImage::zeros(camera.size());
-    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
-    picture
 }
 
 /// A panic of a lane goes on here.

@@ -1,14 +1,12 @@
 //! How an export looks in a player, beside the run's own renders.
 
-use crate::devices::sky_picture;
+use crate::picture::{draw, panorama_picture, sky_picture};
 use crate::scoring::load_tests;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, PlanarImage, Scene, TrainingView};
+use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
 use ffgs_metrics::mpsnr;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_splats::Panorama;
-use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 /// Transmittance below which a pixel of the run's own render counts as opaque.
@@ -55,11 +53,13 @@ pub(crate) fn measure(
 ) -> Result<Measurement> {
     let mut sums: [Sums; 3] = Default::default();
     for truth in load_tests(capture, frame)? {
-        let own_sky = sky_picture(&scene.sky, &truth.camera);
-        let (ours, opaque) = render(&scene.layers(), &own_sky, &truth, true);
-        let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, &truth));
-        let (theirs, _) = render(&[shown.gaussians], &behind, &truth, shown.antialiased);
-        let everything = Mask::filled(truth.camera.size(), true);
+        let camera = &truth.camera;
+        let own_sky = sky_picture(&scene.sky, camera);
+        let (ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
+        let opaque = opaque(camera.size(), &transmittance);
+        let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, camera));
+        let (theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
+        let everything = Mask::filled(camera.size(), true);
         for (sums, mask) in sums.iter_mut().zip([&everything, &opaque, &truth.mask]) {
             sums.run.extend(mpsnr(&ours, &truth.image, mask)?);
             sums.export.extend(mpsnr(&theirs, &truth.image, mask)?);
@@ -80,30 +80,10 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Picture and opaque pixels.
-fn render(
-    layers: &[&Gaussians],
-    behind: &PlanarImage,
-    truth: &TrainingView,
-    antialiased: bool,
-) -> (PlanarImage, Mask) {
-    let view = View { camera: &truth.camera, background: Background::Image(behind), tiles: None };
-    let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
-        .render_layers(layers, &view, &mut tape);
-    let opaque = tape.transmittance().iter().map(|&t| u8::from(t < OPAQUE)).collect();
-    let mask = Mask::new(truth.camera.size(), opaque);
-    (tape.image().clone(), mask.unwrap_or_else(|| Mask::filled(truth.camera.size(), true)))
-}
-
-fn panorama_picture(sky: &Panorama, truth: &TrainingView) -> PlanarImage {
-    let size = truth.camera.size();
-    let mut picture = PlanarImage::zeros(size);
-    for pixel in 0..size.pixels() {
-        let [x, y] = [pixel % size.width, pixel / size.width].map(|v| v as f64 + 0.5);
-        picture.set_pixel(pixel, sky.colour(truth.camera.ray(DVec2::new(x, y)).as_vec3()));
-    }
-    picture
+/// Pixels that are opaque.
+fn opaque(size: ImageSize, transmittance: &[f32]) -> Mask {
+    let opaque = transmittance.iter().map(|&t| u8::from(t < OPAQUE)).collect();
+    Mask::new(size, opaque).unwrap_or_else(|| Mask::filled(size, true))
 }
 
 /// One row per frame, and the means.

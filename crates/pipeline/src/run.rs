@@ -8,8 +8,9 @@ use crate::device;
 use crate::devices::Devices;
 use crate::disocclusion;
 use crate::few_views::trial;
+use crate::first_frame::{all_views, sky_or_none, split};
 use crate::folder::RunFolder;
-use crate::frame::{cameras_and_masks, load_training, load_view, select_views};
+use crate::frame::{load_training, select_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
@@ -24,18 +25,12 @@ use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::start::start;
 use crate::state;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{
-    Dynamic, Gaussians, ImageRgb8, Scene, SkyCube, StageLog, TrainingView, spatial_order, write_atomically,
-};
+use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomically};
 use ffgs_dataset::ImageCheck;
-use ffgs_fusion::{Silhouettes, initial_covariance};
-use ffgs_method::{
-    Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Split, Step, TrackSource, ViewAt,
-};
-use ffgs_motion::pixel_sizes;
+use ffgs_method::{Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, Photographed, Prior, StaticLane, Surroundings, camera_extent, shows_sky};
+use ffgs_trainer::{FirstFrame, Photographed, Prior, StaticLane, Surroundings, camera_extent};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -233,7 +228,7 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let mut views = self.all_views(frame)?;
+        let mut views = all_views(&*self.capture, &self.views, frame)?;
         let count = self.views.len();
         let mut scene = if let Some(run) = &self.request.first_frame {
             self.taken_from(&RunFolder(run.clone()), frame, &views)?
@@ -241,7 +236,7 @@ impl<'a> Job<'a> {
             record.log.since("load", start);
             let trained = self.train_all(&views, console, &mut record.log)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
-            self.split(&trained.gaussians, sky, &views[..count], &views)?
+            split(&self.config().marking, &trained.gaussians, sky, &views[..count], &views)?
         };
         if scene.dynamic.knowledge.information.is_empty() {
             let learning = Instant::now();
@@ -261,16 +256,6 @@ impl<'a> Job<'a> {
         Ok((Last { scene, views }, record))
     }
 
-    /// The training views, and after them those that only frame 0 has.
-    fn all_views(&self, frame: usize) -> Result<Vec<TrainingView>> {
-        let mut views = load_training(&*self.capture, &self.views, frame)?;
-        let more = if frame == 0 { self.capture.views(Split::Init).len() } else { 0 };
-        for view in 0..more {
-            views.push(load_view(&*self.capture, ViewAt { split: Split::Init, view, frame })?);
-        }
-        Ok(views)
-    }
-
     /// The first frame of another run; marked again where that run marked otherwise. `views` begins with the training
     /// views.
     fn taken_from(&self, run: &RunFolder, frame: usize, views: &[TrainingView]) -> Result<Scene> {
@@ -280,7 +265,8 @@ impl<'a> Job<'a> {
             return Ok(scene);
         }
         tracing::info!("--first-frame: {} marked otherwise; its Gaussians are marked again", run.0.display());
-        self.split(&scene.joint(), scene.sky, &views[..self.views.len()], views)
+        let own = &views[..self.views.len()];
+        split(&self.config().marking, &scene.joint(), scene.sky, own, views)
     }
 
     fn train_all(
@@ -308,35 +294,6 @@ impl<'a> Job<'a> {
             trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
         }
         train(views)
-    }
-
-    fn split(
-        &self,
-        all: &Gaussians,
-        sky: SkyCube,
-        views: &[TrainingView],
-        training: &[TrainingView],
-    ) -> Result<Scene> {
-        let (cameras, masks) = cameras_and_masks(training);
-        let marking = self.config().marking;
-        let silhouettes = Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?;
-        let moving = silhouettes.hold(&all.positions())?;
-        // Training left what it added at the end; all later frames keep this order.
-        let order = spatial_order(&all.means);
-        let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
-        let gaussians = all.select(&indices(true));
-        if gaussians.is_empty() {
-            tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");
-        }
-        let pixel_m = pixel_sizes(&gaussians.positions(), views.iter().map(|view| &view.camera));
-        let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
-        let axes = gaussians.log_scales.iter().map(smallest);
-        let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
-        let entitled = gaussians.len();
-        let mut dynamic = Dynamic { gaussians, covariances, entitled, ..Dynamic::default() };
-        dynamic.number_new();
-        let static_layer = Arc::new(all.select(&indices(false)));
-        Ok(Scene { static_layer, hidden: Vec::new(), static_colours: Vec::new(), dynamic, sky })
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
@@ -539,17 +496,6 @@ impl<'a> Job<'a> {
         forget_motion_accuracy(&self.folder)?;
         Ok(record)
     }
-}
-
-/// Indoors no sky is seen; what frame 0 made of it shows as soon as something before it moves.
-fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> SkyCube {
-    if shows_sky(layer, views) {
-        return sky;
-    }
-    tracing::info!(
-        "the views see no sky (indoors?): one colour stands behind everything, and the sky lane rests"
-    );
-    SkyCube::none(sky.mean())
 }
 
 /// What `ffgs-lab motion-eval` found does not hold for a run with one more frame.

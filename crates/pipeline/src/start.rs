@@ -7,7 +7,10 @@ use ffgs_method::Capture;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, from_points};
 
 /// Gaussians at the capture's points, with colours of a degree, before a sky of one colour.
-pub(crate) fn start(
+///
+/// # Errors
+/// When the capture has no initial points or they cannot be read.
+pub fn start(
     capture: &dyn Capture,
     config: &Config,
     degree: usize,

@@ -3,7 +3,7 @@ use crate::config::Config;
 use crate::device::Device;
 use crate::request::FrameRange;
 use ffgs_core::{Camera, Mask};
-use ffgs_method::{Fault, Points};
+use ffgs_method::{Fault, Points, Split, ViewAt};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Mutex;

@@ -1,0 +1,122 @@
+//! Cameras that circle what moves.
+
+use anyhow::{Context, Result, bail};
+use ffgs_core::{Camera, Gaussians};
+use ffgs_method::{Capture, Split, ViewAt};
+use glam::{DMat3, DMat4, DVec3};
+use std::f64::consts::TAU;
+
+/// Room left around the circled object: its outline is about two median distances from its middle.
+const ORBIT_MARGIN: f64 = 2.5;
+/// Least elevation of an orbit, as a share of its radius.
+const ORBIT_ELEVATION: f64 = 0.3;
+
+/// `views` cameras on a circle around one of the objects that the Gaussians `dynamic` of a frame are, with the lens and size of the
+/// first test camera.
+///
+/// # Errors
+/// When there is no Gaussian, or the capture's cameras cannot be read.
+pub fn orbit(capture: &dyn Capture, dynamic: &Gaussians, frame: usize, views: usize) -> Result<Vec<Camera>> {
+    let moving = dynamic.positions();
+    if moving.is_empty() {
+        bail!("frame {frame} has no moving Gaussian to circle; choose a --camera");
+    }
+    let mut cameras = Vec::new();
+    for split in [Split::Test, Split::Train] {
+        for view in 0..capture.views(split).len() {
+            cameras.push(capture.camera(ViewAt { split, view, frame })?);
+        }
+    }
+    let lens = cameras.first().context("the capture has no camera")?;
+    let (target, extent) = one_object(&moving);
+    circle(&cameras, target, extent, views)
+        .into_iter()
+        .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
+        .collect()
+}
+
+/// Median; 0 of nothing.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Middle and median distance (m) of one object: among several, medians over what lies near the present middle
+/// settle on one.
+fn one_object(points: &[DVec3]) -> (DVec3, f64) {
+    let (mut near, mut middle, mut extent) = (points.to_vec(), DVec3::ZERO, 0.0);
+    for _ in 0..20 {
+        middle = DVec3::from_array([0, 1, 2].map(|a| median(near.iter().map(|p| p[a]))));
+        extent = median(near.iter().map(|p| p.distance(middle)));
+        let inside = points.iter().copied().filter(|p| p.distance(middle) <= 2.0 * extent);
+        let next: Vec<DVec3> = inside.collect();
+        if next.is_empty() || next == near {
+            break;
+        }
+        near = next;
+    }
+    (middle, extent)
+}
+
+/// Poses (camera from world) that look at `target`, an object of median radius `extent` (m).
+fn circle(cameras: &[Camera], target: DVec3, extent: f64, views: usize) -> Vec<DMat4> {
+    let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
+    // The object and its margin fill the longer side of the image.
+    let zoom = cameras
+        .first()
+        .map_or(1.0, |c| 2.0 * c.intrinsics().focal() / c.size().width.max(c.size().height) as f64);
+    let radius = ORBIT_MARGIN * extent.max(1e-3) * (1.0 + zoom);
+    let height = median(cameras.iter().map(|c| (c.center() - target).dot(up)));
+    let height = height.clamp(ORBIT_ELEVATION * radius, radius);
+    let (east, north) = up.any_orthonormal_pair();
+    let pose = |v: usize| {
+        let (sin, cos) = (TAU * v as f64 / views as f64).sin_cos();
+        let eye = target + radius * (cos * east + sin * north) + height * up;
+        let forward = (target - eye).normalize();
+        let right = forward.cross(up).normalize();
+        let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = (-(rotation * eye)).extend(1.0);
+        pose
+    };
+    (0..views).map(pose).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{ImageSize, Intrinsics};
+
+    #[test]
+    fn an_orbit_looks_at_its_target_with_the_cameras_up() {
+        let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 };
+        let size = ImageSize { width: 64, height: 48 };
+        // At (0, -8, 2), forward +y, up +z.
+        let rotation = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y).transpose();
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = (-(rotation * DVec3::new(0.0, -8.0, 2.0))).extend(1.0);
+        let camera = Camera::new(lens, pose, size).unwrap();
+        let poses = circle(&[camera], DVec3::ZERO, 1.0, 60);
+        assert_eq!(poses.len(), 60);
+        for pose in poses {
+            let camera = Camera::new(lens, pose, size).unwrap();
+            let seen = camera.project(DVec3::ZERO).unwrap().pixel;
+            assert!((seen - glam::DVec2::new(32.0, 24.0)).length() < 1e-9);
+            assert!((2.0 - 1e-9..6.0).contains(&camera.center().z));
+            assert!(camera.project(DVec3::Z).unwrap().pixel.y < 24.0);
+        }
+    }
+
+    #[test]
+    fn of_two_objects_one_is_circled() {
+        let ball = |center: DVec3| {
+            (0..200).map(move |i| center + DVec3::new((i as f64).sin(), (i as f64 * 1.7).cos(), 0.0))
+        };
+        let points: Vec<DVec3> =
+            ball(DVec3::ZERO).chain(ball(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
+        let (middle, extent) = one_object(&points);
+        assert!(middle.length() < 0.3 && extent < 1.5, "{middle} {extent}");
+        assert_eq!(one_object(&points[..1]), (points[0], 0.0));
+    }
+}

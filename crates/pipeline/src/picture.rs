@@ -1,0 +1,40 @@
+//! Pictures of Gaussians before a sky, on the CPU.
+
+use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_splats::Panorama;
+use ffgs_trainer::SkyView;
+use glam::DVec2;
+
+/// What a camera sees of the sky of a run: sRGB, 0..=1.
+pub fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
+    let mut picture = PlanarImage::zeros(camera.size());
+    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
+    picture
+}
+
+/// What a camera sees of the sky of a stream: sRGB, 0..=1.
+pub fn panorama_picture(sky: &Panorama, camera: &Camera) -> PlanarImage {
+    let size = camera.size();
+    let mut picture = PlanarImage::zeros(size);
+    for pixel in 0..size.pixels() {
+        let [x, y] = [pixel % size.width, pixel / size.width].map(|v| v as f64 + 0.5);
+        picture.set_pixel(pixel, sky.colour(camera.ray(DVec2::new(x, y)).as_vec3()));
+    }
+    picture
+}
+
+/// Layers of Gaussians in front of a picture, depth-sorted: sRGB, and the transmittance of each pixel (0 = opaque). `antialiased` compensates the
+/// opacity of thin splats, as every lane trains.
+pub fn draw(
+    layers: &[&Gaussians],
+    camera: &Camera,
+    behind: &PlanarImage,
+    antialiased: bool,
+) -> (PlanarImage, Vec<f32>) {
+    let view = View { camera, background: Background::Image(behind), tiles: None };
+    let mut tape = RenderTape::default();
+    CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
+        .render_layers(layers, &view, &mut tape);
+    (tape.image().clone(), tape.transmittance().to_vec())
+}
