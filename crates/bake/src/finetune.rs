@@ -69,9 +69,8 @@ pub fn finetune<B: TrainBackend>(
     let views: Vec<TaskView> = views.iter().filter_map(|view| task_view(view, first == 0)).collect();
     let schedule = Schedule {
         iterations: config.iterations,
-        sh_degree: &|_| None,
-        dropout: 0.0,
         rates: &|iteration| config.rates(iteration),
+        ..Schedule::default()
     };
     let count = views.len();
     let mut layer = Arc::new(std::mem::take(gaussians));

@@ -49,17 +49,17 @@ pub struct Dynamic {
     pub ids: Vec<u32>,
     /// The first id that no Gaussian ever had.
     pub next_id: u32,
-    /// What the photographs so far tell of the other parameters.
+    /// Information of the photographs so far on the other parameters.
     pub knowledge: Knowledge,
     /// Logarithm of the odds that a Gaussian departs from its rigid group; empty before the first initialisation.
     pub flexibility: Vec<f64>,
-    /// Whether so many Gaussians left the masks in the last frame that the masks were doubted and the Gaussians kept.
-    pub doubted: bool,
-    /// Gaussians that were marked as moving and have not left all images: what growth may make up for.
-    pub entitled: usize,
+    /// Whether so many Gaussians left the masks in the last frame that the masks were taken for wrong and the Gaussians kept.
+    pub masks_doubted: bool,
+    /// Number of Gaussians that were marked as moving and have not left all images, to which growth by uncertainty is held.
+    pub growth_limit: usize,
 }
 
-/// What photographs tell of the parameters of a layer, and how long that holds.
+/// Information of the photographs on the parameters of a layer, and how fast it fades.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Knowledge {
     /// Information (inverse variance) of every parameter but the positions, shaped like the Gaussians; turns about the

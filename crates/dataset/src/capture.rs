@@ -120,8 +120,21 @@ impl Capture {
     /// # Errors
     /// When it is missing, damaged or of another size, or the capture has no such view at that frame.
     pub fn load_image(&self, split: Split, view: usize, frame: usize) -> Result<ImageRgb8, DatasetError> {
+        self.load_image_with_file(split, view, frame).map(|(image, _)| image)
+    }
+
+    /// As [`Capture::load_image`], with the bytes of the file, which is opened once.
+    ///
+    /// # Errors
+    /// As [`Capture::load_image`].
+    pub fn load_image_with_file(
+        &self,
+        split: Split,
+        view: usize,
+        frame: usize,
+    ) -> Result<(ImageRgb8, Vec<u8>), DatasetError> {
         let size = self.camera(split, view, frame)?.size();
-        pixels::read_image(&self.image_path(split, view, frame)?, size)
+        pixels::read_image_with_file(&self.image_path(split, view, frame)?, size)
     }
 
     /// Checks that the image is there, has the size of its camera and is not cut off, without decoding it.

@@ -60,6 +60,11 @@ impl method::Capture for Capture {
         self.load_image(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
     }
 
+    fn image_with_file(&self, at: ViewAt) -> Result<(ImageRgb8, Option<Vec<u8>>), Fault> {
+        let read = self.load_image_with_file(at.split, at.view, at.frame);
+        read.map(|(image, bytes)| (image, Some(bytes))).map_err(|error| error.in_capture(self.root()))
+    }
+
     fn probe(&self, at: ViewAt) -> Result<(), Fault> {
         self.probe_image(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
     }

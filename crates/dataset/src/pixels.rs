@@ -1,10 +1,10 @@
 //! Images and masks.
 
 use crate::error::DatasetError;
-use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, read_bytes};
 use image::{DynamicImage, ImageReader, Limits};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Decoder memory per pixel: 16-bit RGBA, twice.
@@ -12,13 +12,27 @@ const BYTES_PER_PIXEL: u64 = 16;
 /// Decoder memory besides: row buffers, a colour profile.
 const BYTES_BESIDES: u64 = 16 << 20;
 
+/// Largest file of an image, and largest memory of its decoder (bytes).
+fn most_bytes(size: ImageSize) -> u64 {
+    size.pixels() as u64 * BYTES_PER_PIXEL + BYTES_BESIDES
+}
+
 /// An 8-bit image of exactly `size`; alpha is ignored, grey is spread over the channels.
 ///
 /// # Errors
 /// When the file is missing, damaged or of another size.
 pub fn read_image(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetError> {
-    let data = decode(file, size)?.into_rgb8().into_raw();
-    Ok(ImageRgb8::new(size, data).expect("decode checked the size"))
+    read_image_with_file(file, size).map(|(image, _)| image)
+}
+
+/// As [`read_image`], with the bytes of the file, which is opened once.
+///
+/// # Errors
+/// As [`read_image`].
+pub fn read_image_with_file(file: &Path, size: ImageSize) -> Result<(ImageRgb8, Vec<u8>), DatasetError> {
+    let bytes = read_bytes(file, most_bytes(size)).map_err(|source| DatasetError::io(file, source))?;
+    let data = decode(&mut Cursor::new(&bytes), file, size)?.into_rgb8().into_raw();
+    Ok((ImageRgb8::new(size, data).expect("decode checked the size"), bytes))
 }
 
 /// A mask of exactly `size`: foreground where any channel is not zero, or, of a cut-out, where the alpha channel is
@@ -27,7 +41,7 @@ pub fn read_image(file: &Path, size: ImageSize) -> Result<ImageRgb8, DatasetErro
 /// # Errors
 /// When the file is missing, damaged or of another size.
 pub fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
-    let data = match decode(file, size)? {
+    let data = match decode(&mut open(file)?, file, size)? {
         DynamicImage::ImageLuma8(grey) => grey.into_raw(),
         // Scaled to 8 bit, 1 would round to 0.
         DynamicImage::ImageLuma16(grey) => grey.into_raw().iter().map(|v| u8::from(*v != 0)).collect(),
@@ -46,9 +60,14 @@ const ENDS: [&[u8]; 2] = [b"\0\0\0\0IEND\xaeB`\x82", b"\xff\xd9"];
 /// # Errors
 /// When the file is missing, cut off or of another size.
 pub fn probe_image(file: &Path, size: ImageSize) -> Result<(), DatasetError> {
-    let mut opened = open_sized(file, size)?;
+    let mut opened = open(file)?;
+    check_size(&mut opened, file, size)?;
     let ends = ENDS.iter().any(|end| ends_with(&mut opened, end).unwrap_or(false));
-    if ends { Ok(()) } else { decode(file, size).map(|_| ()) }
+    if ends { Ok(()) } else { decode(&mut opened, file, size).map(|_| ()) }
+}
+
+fn open(file: &Path) -> Result<BufReader<File>, DatasetError> {
+    open_input(file).map(BufReader::new).map_err(|source| DatasetError::io(file, source))
 }
 
 fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> std::io::Result<bool> {
@@ -58,17 +77,14 @@ fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> std::io::Result<bool> 
     Ok(last == end)
 }
 
-/// Opens an image whose header says that it has the size of its camera; nothing larger is unpacked.
-fn open_sized(file: &Path, size: ImageSize) -> Result<BufReader<File>, DatasetError> {
-    let mut opened = BufReader::new(open_input(file).map_err(|source| DatasetError::io(file, source))?);
-    let (width, height) =
-        reader(&mut opened, file, size)?.into_dimensions().map_err(|e| damaged(file, &e))?;
+/// Whether the header says that the image has the size of its camera; nothing larger is unpacked.
+fn check_size(opened: &mut (impl BufRead + Seek), file: &Path, size: ImageSize) -> Result<(), DatasetError> {
+    let (width, height) = reader(opened, file, size)?.into_dimensions().map_err(|e| damaged(file, &e))?;
     let found = ImageSize { width: width as usize, height: height as usize };
     if found != size {
         return Err(DatasetError::ImageSize { file: file.to_owned(), expected: size, found });
     }
-    opened.rewind().map_err(|source| DatasetError::io(file, source))?;
-    Ok(opened)
+    Ok(())
 }
 
 fn damaged(file: &Path, error: &image::ImageError) -> DatasetError {
@@ -85,19 +101,26 @@ fn is_cut_out(image: &DynamicImage) -> bool {
     }
 }
 
-fn decode(file: &Path, size: ImageSize) -> Result<DynamicImage, DatasetError> {
-    reader(&mut open_sized(file, size)?, file, size)?.decode().map_err(|e| damaged(file, &e))
-}
-
-fn reader<'a>(
-    opened: &'a mut BufReader<File>,
+/// Decodes an image of `size`.
+fn decode(
+    opened: &mut (impl BufRead + Seek),
     file: &Path,
     size: ImageSize,
-) -> Result<ImageReader<&'a mut BufReader<File>>, DatasetError> {
-    let guessed = ImageReader::new(opened).with_guessed_format();
+) -> Result<DynamicImage, DatasetError> {
+    check_size(opened, file, size)?;
+    reader(opened, file, size)?.decode().map_err(|e| damaged(file, &e))
+}
+
+/// Reads from the beginning.
+fn reader<'a, R: BufRead + Seek>(
+    opened: &'a mut R,
+    file: &Path,
+    size: ImageSize,
+) -> Result<ImageReader<&'a mut R>, DatasetError> {
+    let guessed = opened.rewind().and_then(|()| ImageReader::new(opened).with_guessed_format());
     let mut reader = guessed.map_err(|source| DatasetError::io(file, source))?;
     let mut limits = Limits::default();
-    limits.max_alloc = Some(size.pixels() as u64 * BYTES_PER_PIXEL + BYTES_BESIDES);
+    limits.max_alloc = Some(most_bytes(size));
     reader.limits(limits);
     Ok(reader)
 }

@@ -4,7 +4,7 @@ use crate::{Buffer, Gpu, GpuError, Kernel};
 /// Workgroups of a dispatch.
 #[derive(Clone, Copy, Debug)]
 pub enum Groups<'a> {
-    /// As many, dealt over two dimensions; a kernel counts them with `linear_group`.
+    /// As many, split over two dimensions; a kernel counts them with `linear_group`.
     Direct(u32),
     /// One invocation per item, in workgroups of the kernel's size.
     Items(usize),

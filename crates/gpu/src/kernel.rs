@@ -7,7 +7,7 @@ macro_rules! wgsl {
     };
 }
 
-/// `linear_group`, which every kernel has: dispatches are dealt over two dimensions.
+/// `linear_group`, which every kernel has: dispatches are split over two dimensions.
 pub const GROUPS: &str = wgsl!("groups");
 
 /// The kernels of a crate, one per file of its `shaders/`: `NAME = "file" of 256, [shared pieces];` with the invocations of

@@ -50,6 +50,15 @@ pub trait Capture: fmt::Debug + Send + Sync {
     /// When it is missing, damaged or of another size.
     fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault>;
 
+    /// The image, and the bytes of the file that holds it alone, from one reading; without bytes where there is no such
+    /// file, or where another reading costs nothing.
+    ///
+    /// # Errors
+    /// As [`Capture::image`].
+    fn image_with_file(&self, at: ViewAt) -> Result<(ImageRgb8, Option<Vec<u8>>), Fault> {
+        self.image(at).map(|image| (image, None))
+    }
+
     /// Checks that the image is there and whole, decoding no more than that takes.
     ///
     /// # Errors

@@ -19,7 +19,7 @@ const OPACITY_LOGIT: f32 = 0.1;
 /// Steps over which the position rate would decay; a frame takes only the first of them.
 const DECAY_STEPS: usize = 15_000;
 /// Rate of SH coefficient 0, in units of that of the others, as in 3DGS.
-const SH0_BY_REST: f32 = 20.0;
+pub(crate) const SH0_BY_REST: f32 = 20.0;
 
 /// How Gaussians are added.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -132,9 +132,8 @@ impl<'a, 'v> Added<'a, 'v> {
         let (config, extent) = (self.config, self.extent);
         let schedule = Schedule {
             iterations: config.iterations,
-            sh_degree: &|_| None,
-            dropout: 0.0,
             rates: &|iteration| config.rates(iteration + 1, extent),
+            ..Schedule::default()
         };
         schedule.run(&mut self, views, |_, _| Ok(()), &mut |_| ())
     }

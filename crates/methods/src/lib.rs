@@ -22,7 +22,7 @@ mod world;
 
 pub use added::AddedConfig;
 pub use deformation::MotionFitConfig;
-pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig, read_params};
+pub use dynamic3dgs::{Dynamic3dgs, Dynamic3dgsConfig};
 pub use hicom::{HicomConfig, hicom};
 pub use queen::{Queen, QueenConfig, read_queen_frame};
 pub use recongs::{RecongsConfig, recongs};

@@ -81,9 +81,8 @@ impl<N: Nodes> TwoStages<N> {
         let (deformation, deltas) = self.nodes.insert(nodes).deformation(&gaussians.means)?;
         let schedule = Schedule {
             iterations: config.iterations,
-            sh_degree: &|_| None,
-            dropout: 0.0,
             rates: &|_| LearningRates::with_means(config.rate),
+            ..Schedule::default()
         };
         let mut fit = Fit::new((&deformation, deltas), gaussians, photographs, config);
         schedule.run(&mut fit, views, |_, _| Ok(()), &mut |_| ())?;

@@ -10,7 +10,7 @@ pub(crate) fn densify(input: &MotionInput, dynamic: &mut Dynamic, log: &mut Stag
     let start = Instant::now();
     let config = &input.config.densification;
     remove_faded(config.min_opacity, dynamic, log);
-    let most = config.max_dynamic.min((config.max_growth * dynamic.entitled as f64) as usize);
+    let most = config.max_dynamic.min((config.max_growth * dynamic.growth_limit as f64) as usize);
     let config = DensifyConfig { max_dynamic: most, ..*config };
     let pixel_m = pixel_sizes(&dynamic.gaussians.positions(), input.step.now.iter().map(|view| &view.camera));
     let plan = plan_densification(&dynamic.gaussians, &dynamic.covariances, &pixel_m, &config);

@@ -33,7 +33,7 @@ pub(crate) fn validate_positions(
     }
     dynamic.steps = means.iter().zip(input.previous).map(|(now, before)| *now - *before).collect();
     dynamic.keep(&kept);
-    dynamic.entitled = dynamic.entitled.saturating_sub(unseen);
+    dynamic.growth_limit = dynamic.growth_limit.saturating_sub(unseen);
     log.since("validation", start);
     Ok(())
 }
@@ -48,8 +48,8 @@ fn doubts(
 ) -> bool {
     let lost = valid.iter().zip(shown).filter(|(valid, shown)| !**valid && **shown).count();
     let many = lost as f64 > input.config.marking.loss_warning * valid.len() as f64;
-    let wait = many && !dynamic.doubted;
-    dynamic.doubted = wait;
+    let wait = many && !dynamic.masks_doubted;
+    dynamic.masks_doubted = wait;
     if many {
         let what = if wait { "stay until the next frame agrees" } else { "go" };
         log.warn(format!("{lost} of {} dynamic Gaussians left the masks: they {what}", valid.len()));

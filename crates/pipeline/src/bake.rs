@@ -1,11 +1,10 @@
 //! Frames of a run fitted to plain viewers: the static layer once, the dynamic one in each frame.
 
 use crate::finished_run::FinishedRun;
-use crate::frame::{load_training, load_view, select_views};
+use crate::frame::{init_views, load_views, select_views, training_views};
 use anyhow::Result;
 use ffgs_bake::{FinetuneConfig, conserve_weight, finetune};
 use ffgs_core::{Camera, Gaussians, Scene, TrainingView};
-use ffgs_method::{Split, ViewAt};
 use ffgs_trainer::CpuBackend;
 
 /// The share of the first frame's steps that a later frame takes: only the dynamic layer is fitted there.
@@ -79,13 +78,8 @@ impl<'a> Baker<'a> {
     fn views(&self, frame: usize) -> Result<Vec<TrainingView>> {
         let capture = &*self.run.capture;
         let selected = select_views(capture, self.run.manifest.train_views.as_deref())?;
-        let mut views = load_training(capture, &selected, frame)?;
-        if frame == 0 {
-            for view in 0..capture.views(Split::Init).len() {
-                views.push(load_view(capture, ViewAt { split: Split::Init, view, frame })?);
-            }
-        }
-        Ok(views)
+        let views = [training_views(&selected, frame), init_views(capture, frame)].concat();
+        load_views(capture, &views).map(|(views, _)| views)
     }
 }
 

@@ -14,7 +14,7 @@ pub enum Device {
     Auto,
     /// All cores of this machine.
     Cpu,
-    /// These adapters of `ffgs devices`, the lanes dealt over them; none = the best one.
+    /// These adapters of `ffgs devices`, the lanes distributed over them; none = the best one.
     Gpu(Vec<usize>),
 }
 

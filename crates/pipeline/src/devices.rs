@@ -7,7 +7,7 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
     BackgroundConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
-    FirstFrame, FirstFrameConfig, Photographed, Progress, StaticLane, Surroundings, train_disoccluded,
+    FirstFrame, FirstFrameConfig, Progress, StaticLane, StaticTargets, Surroundings, train_disoccluded,
     train_dynamic, train_first_frame, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
@@ -84,14 +84,14 @@ impl<'a> Devices<'a> {
         self,
         lane: &mut StaticLane,
         config: &BackgroundConfig,
-        photographed: Photographed,
+        targets: StaticTargets,
         layer: (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
         seed: u64,
         report: Report,
     ) -> Result<()> {
         match self.gpu(1) {
-            None => lane.train(&CpuBackend, config, photographed, layer, seed, report)?,
-            Some(gpu) => lane.train(&GpuBackend(gpu), config, photographed, layer, seed, report)?,
+            None => lane.train(&CpuBackend, config, targets, layer, seed, report)?,
+            Some(gpu) => lane.train(&GpuBackend(gpu), config, targets, layer, seed, report)?,
         }
         Ok(())
     }

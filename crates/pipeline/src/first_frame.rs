@@ -1,10 +1,10 @@
 //! What surrounds the training of frame 0: the views that it sees, and the layers that it is split into.
 
-use crate::frame::{cameras_and_masks, load_training, load_view};
+use crate::frame::{cameras_and_masks, init_views, load_views, training_views};
 use anyhow::Result;
 use ffgs_core::{Dynamic, Gaussians, Scene, SkyCube, TrainingView, spatial_order};
 use ffgs_fusion::{Silhouettes, initial_covariance};
-use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_method::Capture;
 use ffgs_motion::{MarkingConfig, pixel_sizes};
 use ffgs_trainer::shows_sky;
 use std::sync::Arc;
@@ -14,12 +14,8 @@ use std::sync::Arc;
 /// # Errors
 /// When one of them cannot be read.
 pub fn all_views(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<TrainingView>> {
-    let mut all = load_training(capture, views, frame)?;
-    let more = if frame == 0 { capture.views(Split::Init).len() } else { 0 };
-    for view in 0..more {
-        all.push(load_view(capture, ViewAt { split: Split::Init, view, frame })?);
-    }
-    Ok(all)
+    load_views(capture, &[training_views(views, frame), init_views(capture, frame)].concat())
+        .map(|(views, _)| views)
 }
 
 /// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move. `views` are those that later
@@ -48,8 +44,8 @@ pub fn split(
     let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
     let axes = gaussians.log_scales.iter().map(smallest);
     let covariances = axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect();
-    let entitled = gaussians.len();
-    let mut dynamic = Dynamic { gaussians, covariances, entitled, ..Dynamic::default() };
+    let growth_limit = gaussians.len();
+    let mut dynamic = Dynamic { gaussians, covariances, growth_limit, ..Dynamic::default() };
     dynamic.number_new();
     let static_layer = Arc::new(all.select(&indices(false)));
     Ok(Scene { static_layer, hidden: Vec::new(), static_colours: Vec::new(), dynamic, sky })

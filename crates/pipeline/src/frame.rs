@@ -1,5 +1,6 @@
 //! One frame of a capture in memory: cameras, photographs and masks of the training views.
 
+use crate::provenance::{Checksum, load_with_checksum};
 use anyhow::Result;
 use ffgs_core::{Camera, Mask, TrainingView};
 use ffgs_method::{Capture, Split, ViewAt};
@@ -28,9 +29,39 @@ pub fn select_views(capture: &dyn Capture, names: Option<&[String]>) -> Result<V
 /// # Errors
 /// When its camera, image or mask cannot be read.
 pub(crate) fn load_view(capture: &dyn Capture, at: ViewAt) -> Result<TrainingView> {
-    let (camera, image) = (capture.camera(at)?, capture.image(at)?);
-    let mask = capture.mask(at)?.unwrap_or_else(|| Mask::filled(camera.size(), false));
-    Ok(TrainingView { camera, image, mask })
+    load_with_checksum(capture, at).map(|(view, _)| view)
+}
+
+/// Loads views, in parallel, and the checksums of what they were read from.
+///
+/// # Errors
+/// When one of them cannot be read.
+pub(crate) fn load_views(
+    capture: &dyn Capture,
+    views: &[ViewAt],
+) -> Result<(Vec<TrainingView>, Vec<Checksum>)> {
+    let loaded: Vec<_> =
+        views.par_iter().map(|&at| load_with_checksum(capture, at)).collect::<Result<_>>()?;
+    Ok(loaded.into_iter().unzip())
+}
+
+/// Training views of a frame, by index into the training split.
+pub(crate) fn training_views(views: &[usize], frame: usize) -> Vec<ViewAt> {
+    views.iter().map(|&view| ViewAt { split: Split::Train, view, frame }).collect()
+}
+
+/// All test views of a frame.
+pub(crate) fn test_views(capture: &dyn Capture, frame: usize) -> Vec<ViewAt> {
+    all_of(capture, Split::Test, frame)
+}
+
+/// The views that only frame 0 has.
+pub(crate) fn init_views(capture: &dyn Capture, frame: usize) -> Vec<ViewAt> {
+    if frame == 0 { all_of(capture, Split::Init, frame) } else { Vec::new() }
+}
+
+fn all_of(capture: &dyn Capture, split: Split, frame: usize) -> Vec<ViewAt> {
+    (0..capture.views(split).len()).map(|view| ViewAt { split, view, frame }).collect()
 }
 
 /// Loads training views of a frame, in parallel.
@@ -38,7 +69,7 @@ pub(crate) fn load_view(capture: &dyn Capture, at: ViewAt) -> Result<TrainingVie
 /// # Errors
 /// When one of them cannot be read.
 pub fn load_training(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<TrainingView>> {
-    views.par_iter().map(|&view| load_view(capture, ViewAt { split: Split::Train, view, frame })).collect()
+    load_views(capture, &training_views(views, frame)).map(|(views, _)| views)
 }
 
 /// Cameras of the views, and their masks.

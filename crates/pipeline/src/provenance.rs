@@ -1,8 +1,9 @@
 //! What a run was made from: a capture that changes between two halves of a run is noticed.
 
+use crate::frame::{init_views, test_views, training_views};
 use anyhow::{Context, Result};
 use crc32fast::Hasher;
-use ffgs_core::open_input;
+use ffgs_core::{ImageRgb8, Mask, TrainingView, open_input};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_tracks::TrackStore;
 use rayon::prelude::*;
@@ -39,16 +40,25 @@ pub(crate) fn capture_digest(capture: &dyn Capture) -> Result<String> {
     Ok(format!("{:08x}", hasher.finalize()))
 }
 
-/// Digest of what a frame is made from and measured on: images, masks, and the motion into it. `views` are the training
-/// views used.
-pub(crate) fn frame_digest(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<String> {
-    let at = |split: Split, view: usize| ViewAt { split, view, frame };
-    let mut shots: Vec<ViewAt> = views.iter().map(|&view| at(Split::Train, view)).collect();
-    shots.extend((0..capture.views(Split::Test).len()).map(|view| at(Split::Test, view)));
-    if frame == 0 {
-        shots.extend((0..capture.views(Split::Init).len()).map(|view| at(Split::Init, view)));
-    }
-    let mut sums: Vec<_> = shots.par_iter().map(|&at| shot_checksum(capture, at)).collect::<Result<_>>()?;
+/// CRC-32 of what was read, and its length (bytes).
+pub(crate) type Checksum = (u32, u64);
+
+/// Digest of what a finished frame was made from and measured on, read again without decoding where that can be.
+pub(crate) fn digest_again(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<String> {
+    let shots =
+        [training_views(views, frame), test_views(capture, frame), init_views(capture, frame)].concat();
+    let sums = shots.par_iter().map(|&at| checksum_again(capture, at)).collect::<Result<_>>()?;
+    frame_digest(capture, views, frame, sums)
+}
+
+/// Digest of what a frame is made from and measured on. `views` are the training views used, `sums` the checksums of these,
+/// of the test views and of the initialisation views, in this order; the motion into the frame is read here.
+pub(crate) fn frame_digest(
+    capture: &dyn Capture,
+    views: &[usize],
+    frame: usize,
+    mut sums: Vec<Checksum>,
+) -> Result<String> {
     for file in track_files(capture, views, frame)? {
         sums.push(checksum(&file)?);
     }
@@ -67,30 +77,63 @@ fn track_files(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<V
     Ok(files.map(|(tracker, camera)| store.path(tracker, camera, frame)).collect::<Result<_, _>>()?)
 }
 
-/// Checksum of an image, as its file has it where there is one, and of its mask.
-fn shot_checksum(capture: &dyn Capture, at: ViewAt) -> Result<(u32, u64)> {
-    let mut hasher = Hasher::new();
-    let bytes = if let Some(file) = capture.image_file(at) {
-        let (sum, bytes) = checksum(&file)?;
-        hasher.update(&sum.to_le_bytes());
-        bytes
-    } else {
-        let image = capture.image(at)?;
-        hasher.update(image.data());
-        image.data().len() as u64
-    };
-    if let Some(mask) = capture.mask(at)? {
-        hasher.update(mask.data());
+/// Checksum of a view that is not in memory: nothing is decoded but its mask, where a file holds its image.
+fn checksum_again(capture: &dyn Capture, at: ViewAt) -> Result<Checksum> {
+    let mask = capture.mask(at)?;
+    match capture.image_file(at) {
+        Some(file) => Ok(of_view(&Picture::File(checksum(&file)?), mask.as_ref())),
+        None => Ok(of_view(&Picture::Pixels(&capture.image(at)?), mask.as_ref())),
     }
-    Ok((hasher.finalize(), bytes))
+}
+
+/// An image as a checksum takes it.
+enum Picture<'a> {
+    /// Held by a file alone.
+    File(Checksum),
+    /// Held by something else, e.g. a video.
+    Pixels(&'a ImageRgb8),
+}
+
+fn of_view(picture: &Picture, mask: Option<&Mask>) -> Checksum {
+    let mut hasher = Hasher::new();
+    let bytes = match picture {
+        Picture::File((sum, bytes)) => {
+            hasher.update(&sum.to_le_bytes());
+            *bytes
+        }
+        Picture::Pixels(image) => {
+            hasher.update(image.data());
+            image.data().len() as u64
+        }
+    };
+    mask.into_iter().for_each(|mask| hasher.update(mask.data()));
+    (hasher.finalize(), bytes)
+}
+
+/// Loads a view, and takes the checksum of what it was read from. Its image is opened once.
+///
+/// # Errors
+/// When its camera, image or mask cannot be read.
+pub(crate) fn load_with_checksum(capture: &dyn Capture, at: ViewAt) -> Result<(TrainingView, Checksum)> {
+    let camera = capture.camera(at)?;
+    let (image, bytes) = capture.image_with_file(at)?;
+    let mask = capture.mask(at)?;
+    let picture = match (bytes, capture.image_file(at)) {
+        (Some(bytes), _) => Picture::File((crc32fast::hash(&bytes), bytes.len() as u64)),
+        (None, Some(file)) => Picture::File(checksum(&file)?),
+        (None, None) => Picture::Pixels(&image),
+    };
+    let checksum = of_view(&picture, mask.as_ref());
+    let mask = mask.unwrap_or_else(|| Mask::filled(camera.size(), false));
+    Ok((TrainingView { camera, image, mask }, checksum))
 }
 
 /// CRC-32 and length of a file; zeros for one that is not there.
-fn checksum(file: &Path) -> Result<(u32, u64)> {
+fn checksum(file: &Path) -> Result<Checksum> {
     checksum_of(file).with_context(|| format!("cannot read {}", file.display()))
 }
 
-fn checksum_of(file: &Path) -> io::Result<(u32, u64)> {
+fn checksum_of(file: &Path) -> io::Result<Checksum> {
     let mut opened = match open_input(file) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok((0, 0)),
         opened => opened?,

@@ -8,20 +8,20 @@ use crate::device;
 use crate::devices::Devices;
 use crate::disocclusion;
 use crate::few_views::trial;
-use crate::first_frame::{all_views, sky_or_none, split};
+use crate::first_frame::{sky_or_none, split};
 use crate::folder::RunFolder;
-use crate::frame::{load_training, select_views};
+use crate::frame::{init_views, load_training, load_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
-use crate::provenance::frame_digest;
+use crate::provenance::{digest_again, frame_digest};
 use crate::publish::publish;
 use crate::record::{FrameRecord, Metrics};
 use crate::registry::{self, open_capture};
 use crate::request::RunRequest;
-use crate::scoring::{load_tests, mean_mpsnr, score, thumbnails, write_png};
+use crate::scoring::{mean_mpsnr, score, thumbnails, write_png};
 use crate::start::start;
 use crate::state;
 use anyhow::{Context, Result, bail};
@@ -30,7 +30,7 @@ use ffgs_dataset::ImageCheck;
 use ffgs_method::{Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, Photographed, Prior, StaticLane, Surroundings, camera_extent};
+use ffgs_trainer::{FirstFrame, Prior, StaticLane, StaticTargets, Surroundings, camera_extent};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -69,6 +69,9 @@ struct Last {
 /// Least time between two publications, in units of the duration of the first of them. Publishing takes longer the more
 /// frames there are; this bounds it to a twentieth of the run.
 const PUBLISHING_INTERVAL: u32 = 20;
+
+/// The training of few cameras' first frame without one of them, on the console and in the report.
+const TRIAL: &str = "first frame without its middle view";
 
 struct Job<'a> {
     request: &'a RunRequest,
@@ -148,7 +151,7 @@ impl<'a> Job<'a> {
     fn finished_record(&self, frame: usize) -> Result<FrameRecord> {
         let record = FrameRecord::read(&self.folder, frame, &*self.capture)?;
         if let Some(inputs) = &record.inputs
-            && *inputs != self.inputs(frame)?
+            && *inputs != digest_again(&*self.capture, &self.views, frame)?
         {
             bail!(
                 "an image, mask or track of frame {frame} in {} is not what {} was made from; bring it back, or run \
@@ -158,10 +161,6 @@ impl<'a> Job<'a> {
             );
         }
         Ok(record)
-    }
-
-    fn inputs(&self, frame: usize) -> Result<String> {
-        frame_digest(&*self.capture, &self.views, frame)
     }
 
     fn config(&self) -> &Config {
@@ -228,7 +227,8 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let mut views = all_views(&*self.capture, &self.views, frame)?;
+        let shots = [training_views(&self.views, frame), init_views(&*self.capture, frame)].concat();
+        let (mut views, sums) = load_views(&*self.capture, &shots)?;
         let count = self.views.len();
         let mut scene = if let Some(run) = &self.request.first_frame {
             self.taken_from(&RunFolder(run.clone()), frame, &views)?
@@ -251,7 +251,9 @@ impl<'a> Job<'a> {
         views.truncate(count);
         method.begin(&scene).with_context(|| self.named("first frame"))?;
         record.log.since("wall", start);
-        let truths = load_tests(&*self.capture, frame)?;
+        let (truths, tests) = load_views(&*self.capture, &test_views(&*self.capture, frame))?;
+        let sums = [&sums[..count], &tests, &sums[count..]].concat();
+        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, sums)?);
         let record = self.finish(frame, &scene, &truths, method, FramePictures::default(), record)?;
         Ok((Last { scene, views }, record))
     }
@@ -276,9 +278,9 @@ impl<'a> Job<'a> {
         log: &mut StageLog,
     ) -> Result<FirstFrame> {
         let config = &self.config().first_frame;
-        let mut train = |views: &[TrainingView]| {
+        let train = |name: &'static str, views: &[TrainingView]| {
             let config = &config.for_views(views.len());
-            let bar = console.lane("first frame", config.iterations);
+            let bar = console.lane(name, config.iterations);
             self.devices().first_frame(
                 config,
                 views,
@@ -289,11 +291,12 @@ impl<'a> Job<'a> {
             )
         };
         let start = Instant::now();
-        if let Some(trial) = trial(config.few_views, views, self.devices(), &mut train)? {
-            log.since("trial of few cameras", start);
+        let mut trained_for_trial = |views: &[TrainingView]| train(TRIAL, views);
+        if let Some(trial) = trial(config.few_views, views, self.devices(), &mut trained_for_trial)? {
+            log.since(TRIAL, start);
             trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
         }
-        train(views)
+        train("first frame", views)
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
@@ -307,7 +310,7 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let Last { mut scene, views: before } = last;
-        let now = load_training(&*self.capture, &self.views, frame)?;
+        let (now, sums) = load_views(&*self.capture, &training_views(&self.views, frame))?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let log = &mut record.log;
         log.since("load", start);
@@ -325,7 +328,8 @@ impl<'a> Job<'a> {
             .with_context(|| self.named(&format!("prediction of frame {frame}")))?;
         let measuring = Instant::now();
         let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
-        let truths = load_tests(&*self.capture, frame)?;
+        let (truths, tests) = load_views(&*self.capture, &test_views(&*self.capture, frame))?;
+        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, [sums, tests].concat())?);
         record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.devices())?;
         let measuring = measuring.elapsed().as_secs_f64();
         let predicted = Predicted::new(&scene, &self.config().dynamic);
@@ -336,7 +340,7 @@ impl<'a> Job<'a> {
         {
             Finetuning::ByLanes => {
                 self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
-                self.uncover(frame, &mut scene, static_lane, &now, console, log)?;
+                self.train_disoccluded(frame, &mut scene, static_lane, &now, console, log)?;
                 let learning = Instant::now();
                 knowledge::learn(&mut scene, predicted.as_ref(), &now);
                 log.since("information", learning);
@@ -379,10 +383,10 @@ impl<'a> Job<'a> {
             },
             || {
                 timed(&mut || {
-                    let photographed = Photographed { views, sky: &sky_start };
+                    let targets = StaticTargets { views, sky: &sky_start };
                     let report = &mut |p| static_bar.show(p);
                     let layer = (&mut *static_layer, &mut *static_colours);
-                    devices.static_layer(static_lane, background, photographed, layer, seed, report)
+                    devices.static_layer(static_lane, background, targets, layer, seed, report)
                 })
             },
             || timed(&mut || devices.sky(background, views, &static_start, sky, seed)),
@@ -394,7 +398,7 @@ impl<'a> Job<'a> {
     }
 
     /// The static layer where something that moves covered it so far.
-    fn uncover(
+    fn train_disoccluded(
         &self,
         frame: usize,
         scene: &mut Scene,
@@ -479,7 +483,6 @@ impl<'a> Job<'a> {
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
-        record.inputs = Some(self.inputs(frame)?);
         record.peak_memory_mib = crate::memory::peak_mib();
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
         let splats = [static_file, dynamic_file, folder.join("sky.png")];

@@ -1,6 +1,7 @@
 //! Renders the test views of a frame and measures them.
 
 use crate::devices::Devices;
+use crate::frame::{load_views, test_views};
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
@@ -44,8 +45,7 @@ fn is_fixed(capture: &dyn Capture, view: usize) -> bool {
 
 /// The test views of a frame.
 pub(crate) fn load_tests(capture: &dyn Capture, frame: usize) -> Result<Vec<TrainingView>> {
-    let load = |view| crate::frame::load_view(capture, ViewAt { split: Split::Test, view, frame });
-    (0..capture.views(Split::Test).len()).map(load).collect()
+    load_views(capture, &test_views(capture, frame)).map(|(views, _)| views)
 }
 
 /// Mean foreground PSNR (dB) over the test views `truths`, without pictures; `None` where nothing is in the foreground.

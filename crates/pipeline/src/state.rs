@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Name of the flag that the last masks were doubted.
+/// Name of the flag that the last masks were taken for wrong.
 const DOUBTED: &str = "masks_doubted";
 
-/// Name of the number of Gaussians that growth may make up for.
+/// Name of the number of Gaussians to which growth is held.
 const ENTITLED: &str = "dynamic_entitled";
 
 /// Writes the state atomically.
@@ -37,8 +37,8 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         static_hidden: scene.hidden.clone(),
         static_colours: scene.static_colours.clone(),
         integers: [
-            (DOUBTED.to_owned(), u64::from(scene.dynamic.doubted)),
-            (ENTITLED.to_owned(), scene.dynamic.entitled as u64),
+            (DOUBTED.to_owned(), u64::from(scene.dynamic.masks_doubted)),
+            (ENTITLED.to_owned(), scene.dynamic.growth_limit as u64),
         ]
         .into(),
         ..FrameState::default()
@@ -82,7 +82,7 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         drift: DRIFT.each_ref().map(real),
         noise: NOISE.each_ref().map(real),
     };
-    let entitled = state.integers.get(ENTITLED).map_or(state.dynamic_layer.len(), |&n| n as usize);
+    let growth_limit = state.integers.get(ENTITLED).map_or(state.dynamic_layer.len(), |&n| n as usize);
     let dynamic = Dynamic {
         gaussians: state.dynamic_layer.into_owned(),
         covariances: state.dynamic_covariances,
@@ -92,8 +92,8 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         next_id: state.next_id,
         knowledge,
         flexibility: state.dynamic_flexibility,
-        entitled,
-        doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
+        growth_limit,
+        masks_doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
     let static_layer = Arc::new(state.static_layer.into_owned());
     Ok(Scene {

@@ -5,7 +5,7 @@ use crate::{Request, pictures};
 use ffgs_calibration::formats::Format;
 use ffgs_calibration::{Distortion, Footage, Pictures, SourceCamera};
 use ffgs_core::{Camera, ImageRgb8, Mask};
-use ffgs_dataset::{DatasetError, probe_image, read_image, read_mask};
+use ffgs_dataset::{DatasetError, probe_image, read_image_with_file, read_mask};
 use ffgs_method::{Capture, CaptureFormat, Fault, Part, Plugin, Points, Split, ViewAt};
 use glam::{DMat4, DVec3};
 use std::path::{Path, PathBuf};
@@ -126,8 +126,13 @@ impl Capture for FootageCapture {
     }
 
     fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault> {
+        self.image_with_file(at).map(|(image, _)| image)
+    }
+
+    fn image_with_file(&self, at: ViewAt) -> Result<(ImageRgb8, Option<Vec<u8>>), Fault> {
         let source = self.source(at)?;
-        read_image(file_of(&source.pictures, at.frame), source.lens.size).map_err(|error| self.fault(&error))
+        let read = read_image_with_file(file_of(&source.pictures, at.frame), source.lens.size);
+        read.map(|(image, bytes)| (image, Some(bytes))).map_err(|error| self.fault(&error))
     }
 
     fn probe(&self, at: ViewAt) -> Result<(), Fault> {

@@ -1,4 +1,4 @@
-// The nearest depth in each tile of what was dealt last; a tile without any takes the nearest of the closest tiles
+// The nearest depth in each tile of the splats that were binned last; a tile without any takes the nearest of the closest tiles
 // that have some, so that a layer which grows a little stays in front of what is behind it.
 // Floor: 68 B per tile.
 //

@@ -1,4 +1,4 @@
-//! The order of the kernels: projection, sort by depth, deal to tiles, blend, and the way back.
+//! The order of the kernels: projection, sort by depth, binning to tiles, blending, and the backward pass.
 
 use crate::layout::plan;
 use crate::scene::{GpuGradients, GpuScene};
@@ -39,14 +39,14 @@ pub fn prepare(
 
 /// Renders into `scratch.pixels`.
 pub fn render(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
-    deal(commands, scene, view, scratch);
+    bin_to_tiles(commands, scene, view, scratch);
     let s = scratch;
     let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, &view.layers, &s.pixels, &s.last];
     commands.run(&kernels::BLEND, &buffers, Groups::of(view.slots(), 1));
 }
 
 /// Everything before blending: the depth-ordered list of each tile.
-pub fn deal(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
+pub fn bin_to_tiles(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
     let (s, n) = (scratch, scene.count);
     let order = &s.keys[0];
     commands.clear(&s.spans_used);
@@ -135,7 +135,7 @@ fn bits_of(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }
 
-/// Nearest depth per computed tile of what was dealt last, into `depths` (f32 a slot); empty tiles take that of the
+/// Nearest depth per computed tile of the splats that were binned last, into `depths` (f32 a slot); empty tiles take that of the
 /// closest tiles that are not.
 pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
     let s = scratch;
@@ -143,7 +143,7 @@ pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, d
     commands.run(&kernels::TILE_DEPTHS, &buffers, Groups::Items(view.slots()));
 }
 
-/// Adds 1 to `counts` (u32 per Gaussian) for every Gaussian that what was dealt last shows.
+/// Adds 1 to `counts` (u32 per Gaussian) for every Gaussian with a splat among those binned last.
 pub fn count_views(
     commands: &mut Commands,
     scene: &GpuScene,
@@ -155,8 +155,8 @@ pub fn count_views(
     commands.run(&kernels::COUNT_VIEWS, &buffers, Groups::Items(scene.count));
 }
 
-/// Blends what was dealt last into the layers of `view`, cut at `depths`: what is nearer in front, the rest over the
-/// background that the layers hold.
+/// Blends the splats that were binned last into the layers of `view`, cut at `depths`: nearer splats in front, the rest over
+/// the background that the layers hold.
 pub fn render_split(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
     let s = scratch;
     let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, depths, &view.layers];

@@ -37,7 +37,7 @@ mod shader_tests;
 mod view;
 
 pub use device::SceneDevice;
-pub use encode::{backward, count_views, deal, prepare, render, render_split, tile_depths};
+pub use encode::{backward, bin_to_tiles, count_views, prepare, render, render_split, tile_depths};
 pub use footprint::{Footprints, Planes};
 pub use kernels::{LEDGER, VIEW};
 pub use layout::{Geometry, Ledger};

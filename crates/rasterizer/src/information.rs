@@ -1,10 +1,10 @@
-//! What a view tells of every parameter: the sums of squared derivatives of its pixels (Gauss-Newton), weighted by how sure
-//! each pixel is.
+//! Information of a view on every parameter: the sums of squared derivatives of its pixels (Gauss-Newton), weighted by the
+//! inverse variance of each pixel.
 //!
 //! For one Gaussian with `alpha = o exp(-sigma)`, all geometric parameters act through `ln alpha`. With `u` the derivative
 //! of `sigma` by the pixel's place, `E = |d colour / d alpha|^2 alpha^2` and a row of the projected axes for each parameter,
 //! their squared derivatives are sums of `E`, `E u u` and `E u u u u`: ten numbers per (tile, splat) hold everything.
-//! What passes through the viewing direction, and through the projection's Jacobian at another depth, is left out.
+//! The dependence of the colour on the viewing direction, and of the projection's Jacobian on the depth, are left out.
 
 use crate::blend::{Contribution, TilePlane, Visitor, walk};
 use crate::constants::{AREA, MAX_ALPHA, MIN_TRANSMITTANCE};
@@ -297,8 +297,8 @@ struct Shape<'a> {
     axes: [DVec2; 3],
     /// Standard deviations (m).
     scales: [f64; 3],
-    /// How the antialiasing compensation answers: inverse of the bare covariance minus that of the filtered one (1/px^2).
-    answer: [f64; 3],
+    /// Derivative of the antialiasing compensation: inverse of the bare covariance minus that of the filtered one (1/px^2).
+    compensation_slope: [f64; 3],
 }
 
 impl<'a> Shape<'a> {
@@ -313,8 +313,8 @@ impl<'a> Shape<'a> {
             inverse(ewa.covariance, filtered.determinants[0]),
             inverse(filtered.covariance, filtered.determinants[1]),
         ];
-        let answer = [0, 1, 2].map(|k| if free { bare[k] - wide[k] } else { 0.0 });
-        Self { sums, axes: [0, 1, 2].map(axis), scales, answer }
+        let compensation_slope = [0, 1, 2].map(|k| if free { bare[k] - wide[k] } else { 0.0 });
+        Self { sums, axes: [0, 1, 2].map(axis), scales, compensation_slope }
     }
 
     /// `sum E (factor (a.u)(b.u) + bias)^2`.
@@ -328,7 +328,8 @@ impl<'a> Shape<'a> {
             + 2.0 * q * r * fourth[3]
             + r * r * fourth[4];
         let second = p * xx + q * xy + r * yy;
-        let bias = p * self.answer[0] + q * self.answer[1] + r * self.answer[2];
+        let bias =
+            p * self.compensation_slope[0] + q * self.compensation_slope[1] + r * self.compensation_slope[2];
         (factor * factor * (fourth + 2.0 * bias * second + bias * bias * zero)).max(0.0)
     }
 

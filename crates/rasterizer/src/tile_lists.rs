@@ -1,7 +1,7 @@
 //! The depth-ordered list of every tile.
 //!
 //! Splats come in the order of their Gaussians. One pass counts them by tile while the next ones are projected, a second
-//! deals them to their tiles, and each tile sorts its own list, which fits a cache and needs no other thread.
+//! bins them to their tiles, and each tile sorts its own list, which fits a cache and needs no other thread.
 
 use crate::projection::Splat;
 use crate::tiles::{Span, TileGrid, TileMask, for_each_tile};
@@ -41,7 +41,7 @@ pub(crate) struct TileLists {
     /// Places of each splat in the lists of its tiles, in the order of its spans.
     pub(crate) entries: Vec<u32>,
     /// Splat at each place.
-    dealt: Vec<u32>,
+    splat_of: Vec<u32>,
     cursors: Vec<u32>,
 }
 
@@ -70,7 +70,7 @@ impl TileLists {
         self.entry_starts.push(total);
     }
 
-    /// Deals the splats that were counted, and sorts every tile by depth.
+    /// Bins the splats that were counted, and sorts every tile by depth.
     pub(crate) fn finish(
         &mut self,
         splats: &[Splat],
@@ -81,22 +81,22 @@ impl TileLists {
         for tile in 0..grid.count() {
             self.starts[tile + 1] += self.starts[tile];
         }
-        self.deal(splats, spans, grid, mask);
-        let Self { starts, slots, dealt, .. } = self;
+        self.bin(splats, spans, grid, mask);
+        let Self { starts, slots, splat_of, .. } = self;
         for_each_tile_slice(starts, slots, &|tile, list| {
             list.sort_unstable();
             let first = starts[tile];
             for entry in list {
                 let place = entry.place() as u32;
-                *entry = Entry::new(dealt[place as usize], place - first);
+                *entry = Entry::new(splat_of[place as usize], place - first);
             }
         });
     }
 
-    fn deal(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+    fn bin(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
         let total = self.starts[grid.count()] as usize;
         self.slots.resize(total, Entry::default());
-        self.dealt.resize(total, 0);
+        self.splat_of.resize(total, 0);
         self.entries.resize(total, 0);
         self.cursors.clear();
         self.cursors.extend_from_slice(&self.starts[..grid.count()]);
@@ -108,7 +108,7 @@ impl TileLists {
                 self.cursors[tile] += 1;
                 // Depths are positive: their bits compare as they do.
                 self.slots[place as usize] = Entry::new(splat.depth.to_bits(), place);
-                self.dealt[place as usize] = slot as u32;
+                self.splat_of[place as usize] = slot as u32;
                 self.entries[rank] = place;
                 rank += 1;
             });

@@ -30,7 +30,7 @@ const OF_DEGREE: [usize; 4] = [1, 3, 5, 7];
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written or would be larger than the format allows (4 GiB).
-pub fn write_glb(path: &Path, gaussians: &Gaussians) -> Result<(), SplatError> {
+fn write_glb(path: &Path, gaussians: &Gaussians) -> Result<(), SplatError> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
     let attributes = attributes(gaussians);
     let mut text = document(gaussians, &attributes).to_string().into_bytes();

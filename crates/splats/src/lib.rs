@@ -23,10 +23,7 @@ pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
 pub use error::{Problem, SplatError};
 pub use ffgs_method::{Followed, RenderMode};
 pub use formats::FORMATS;
-pub use glb::write_glb;
 pub use ply_read::{PlySplats, read_ply};
 pub use ply_write::write_ply;
-pub use sky::{
-    Panorama, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular, write_sky_faces,
-};
-pub use spz::{ShBits, decode_spz, encode_spz, read_spz};
+pub use sky::{Panorama, encode_sky_equirectangular, write_sky_cross, write_sky_equirectangular};
+pub use spz::decode_spz;

@@ -6,10 +6,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, RgbImage};
 use std::f32::consts::PI;
 use std::io::{Cursor, Write};
-use std::path::{Path, PathBuf};
-
-/// Names of the cube faces in the order of the texture.
-pub(crate) const SKY_FACES: [&str; 6] = ["px", "nx", "py", "ny", "pz", "nz"];
+use std::path::Path;
 
 /// Of 100: artefacts are not visible in a smooth sky.
 const JPEG_QUALITY: u8 = 85;
@@ -17,26 +14,12 @@ const JPEG_QUALITY: u8 = 85;
 /// Column and row of each face in the 4 x 3 cross: +y above +z, -y below, and -x, +z, +x, -z in the middle row.
 const CROSS: [(u32, u32); 6] = [(2, 1), (0, 1), (1, 0), (1, 2), (1, 1), (3, 1)];
 
-/// Writes the sky as six 8-bit PNGs `sky_px.png` .. `sky_nz.png` into `folder` and returns their paths.
+/// Writes the sky as one 8-bit PNG, a cross of 4 x 3 faces; the corners are black.
 ///
 /// `texels` holds 6 * face_size^2 * 3 values: face (+x, -x, +y, -y, +z, -z), row, column, RGB; clamped to [0, 1].
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_sky_faces(folder: &Path, face_size: usize, texels: &[f32]) -> Result<Vec<PathBuf>, SplatError> {
-    let faces = faces(face_size, texels).in_file(folder)?;
-    let write = |(face, name): (&RgbImage, &str)| {
-        let path = folder.join(format!("sky_{name}.png"));
-        write_png(&path, face).map(|()| path)
-    };
-    faces.iter().zip(SKY_FACES).map(write).collect()
-}
-
-/// Writes the sky as one 8-bit PNG, a cross of 4 x 3 faces; the corners are black. `texels` as in
-/// [`write_sky_faces`].
-///
-/// # Errors
-/// When the file cannot be written.
+/// When the texels do not fit the face size, or the file cannot be written.
 pub fn write_sky_cross(path: &Path, face_size: usize, texels: &[f32]) -> Result<(), SplatError> {
     let faces = faces(face_size, texels).in_file(path)?;
     let edge = face_size as u32;
@@ -66,7 +49,7 @@ pub fn write_sky_equirectangular(
 
 /// The sky as an equirectangular 8-bit JPEG, twice as wide as high. The top row looks along `up`, the middle column along
 /// `forward` (unit vectors of the world, at right angles), columns run to the right of it. `texels` as in
-/// [`write_sky_faces`].
+/// [`write_sky_cross`].
 ///
 /// # Errors
 /// When the texels do not fit the face size.

@@ -16,7 +16,7 @@ pub(crate) const FORMAT: Format = Format {
     name: "spz",
     summary: "players of Niantic's SPZ, version 4",
     extension: ".spz",
-    write: |file, splats, mode| write_spz(file, splats.gaussians, mode, ShBits::default()),
+    write: |file, splats, mode| write_spz(file, splats.gaussians, mode),
     read: Some(|file| read_spz(file).map(|(gaussians, _)| gaussians)),
 };
 
@@ -45,34 +45,16 @@ const LEVEL: i32 = 12;
 /// Opacities that a byte rounds to 0 or 1 come back as these logits' probabilities.
 const LEAST_OPACITY: f32 = 1e-6;
 
-/// How coarsely coefficients above degree 0 are rounded: bits kept of eight. Fewer make smaller files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ShBits {
-    /// Degree 1.
-    pub first: u32,
-    /// Degrees 2 and 3.
-    pub rest: u32,
-}
-
-impl Default for ShBits {
-    /// Those of the reference implementation.
-    fn default() -> Self {
-        Self { first: 5, rest: 4 }
-    }
-}
+/// Bits kept of the eight of a coefficient of degree 1, and of degrees 2 and 3, as in the reference implementation.
+const SH_BITS: [u32; 2] = [5, 4];
 
 /// Writes an SPZ file. Positions are rounded to a quarter of a millimetre in the capture's unit, or more finely where the
 /// Gaussians are small, or more coarsely where they would not fit.
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-pub(crate) fn write_spz(
-    path: &Path,
-    gaussians: &Gaussians,
-    mode: RenderMode,
-    bits: ShBits,
-) -> Result<(), SplatError> {
-    let bytes = encode_spz(gaussians, mode, bits).in_file(path)?;
+fn write_spz(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
+    let bytes = encode_spz(gaussians, mode).in_file(path)?;
     write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
 }
 
@@ -80,7 +62,7 @@ pub(crate) fn write_spz(
 ///
 /// # Errors
 /// When the file cannot be read, is of another version, truncated or corrupt.
-pub fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
+fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
     let bytes = read_bytes(path, MAX_BYTES).in_file(path)?;
     decode_spz(&bytes).in_file(path)
 }
@@ -89,10 +71,10 @@ pub fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
 ///
 /// # Errors
 /// When the columns do not match.
-pub fn encode_spz(gaussians: &Gaussians, mode: RenderMode, bits: ShBits) -> Result<Vec<u8>, Problem> {
+fn encode_spz(gaussians: &Gaussians, mode: RenderMode) -> Result<Vec<u8>, Problem> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string()))?;
     let fraction = fraction_bits(gaussians);
-    let streams = streams(gaussians, fraction, bits);
+    let streams = streams(gaussians, fraction);
     let packed: Vec<Vec<u8>> =
         streams.iter().map(|s| zstd::bulk::compress(s, LEVEL)).collect::<Result<_, _>>()?;
     let mut out = Vec::new();
@@ -112,7 +94,7 @@ pub fn encode_spz(gaussians: &Gaussians, mode: RenderMode, bits: ShBits) -> Resu
 }
 
 /// Positions, opacities, colours, scales, rotations and, above degree 0, harmonics.
-fn streams(g: &Gaussians, fraction: u32, bits: ShBits) -> Vec<Vec<u8>> {
+fn streams(g: &Gaussians, fraction: u32) -> Vec<Vec<u8>> {
     let unit = (1_u64 << fraction) as f32;
     let position = |v: &f32| ((v * unit).round() as i32).to_le_bytes().into_iter().take(3);
     let colour = |sh: &[[f32; 3]]| sh[0].map(|v| to_byte(v * COLOUR_SCALE * 255.0 + 127.5));
@@ -125,7 +107,7 @@ fn streams(g: &Gaussians, fraction: u32, bits: ShBits) -> Vec<Vec<u8>> {
         g.quats.iter().flat_map(|&q| rotation(q).to_le_bytes()).collect(),
     ];
     if g.sh_degree() > 0 {
-        let bucket = |k: usize| 1 << (8 - if k < 4 { bits.first } else { bits.rest }.clamp(1, 8));
+        let bucket = |k: usize| 1 << (8 - SH_BITS[usize::from(k >= 4)]);
         let row = |sh: &[[f32; 3]]| -> Vec<u8> {
             let rows = sh.iter().enumerate().skip(1);
             rows.flat_map(|(k, rgb)| rgb.map(|v| harmonic(v, bucket(k)))).collect()

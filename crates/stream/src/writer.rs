@@ -227,7 +227,7 @@ impl Writer {
     }
 }
 
-/// Every row, in spatial order, dealt to new groups.
+/// Every row, in spatial order, assigned to new groups.
 fn all(layer: &Gaussians, ids: &[u32], steps: &Steps) -> (Moving, Vec<u8>) {
     let order = spatial_order(&layer.means);
     let points: Vec<[f64; 3]> = order.iter().map(|&i| layer.means[i].map(f64::from)).collect();

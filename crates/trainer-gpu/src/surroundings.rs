@@ -6,7 +6,9 @@ use crate::target::Target;
 use crate::workspace::{OPTIONS, Workspace};
 use ffgs_core::SkyCube;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
-use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, count_views, deal, prepare, render_split, tile_depths};
+use ffgs_rasterizer_gpu::{
+    GpuScene, SceneDevice, bin_to_tiles, count_views, prepare, render_split, tile_depths,
+};
 use ffgs_trainer::{CutLayers, TaskView};
 
 /// [`ffgs_trainer::Around`] with its content on the device; cut layers are in the targets.
@@ -73,7 +75,7 @@ pub(crate) fn cut(
             scratch.restart(gpu, scene.count);
             prepare(gpu, scene, view, scratch, OPTIONS, 0);
             let mut commands = gpu.commands();
-            deal(&mut commands, scene, view, scratch);
+            bin_to_tiles(&mut commands, scene, view, scratch);
             record(&mut commands);
             gpu.submit(commands)
         };

@@ -11,7 +11,7 @@ use crate::workspace::{OPTIONS, Workspace, largest_view};
 use ffgs_core::{Mask, PlanarImage, SkyCube};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
-use ffgs_rasterizer_gpu::{GpuScene, Ledger, count_views, deal, prepare};
+use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
 use ffgs_trainer::{
     Adam, Columns, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise, Prior, TaskView, Update,
 };
@@ -198,7 +198,7 @@ fn views_that_see_a_gaussian_are_counted_as_on_the_cpu() {
         workspace.fit(&scene, std::slice::from_ref(&target), OPTIONS).unwrap();
         prepare(&gpu, &scene, &target.view, &workspace.scratch, OPTIONS, 0);
         let mut commands = gpu.commands();
-        deal(&mut commands, &scene, &target.view, &workspace.scratch);
+        bin_to_tiles(&mut commands, &scene, &target.view, &workspace.scratch);
         count_views(&mut commands, &scene, &target.view, &workspace.scratch, &counts);
         gpu.submit(commands).unwrap();
         let frame =

@@ -2,7 +2,9 @@ use crate::kernels;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::{RenderOptions, TILE};
-use ffgs_rasterizer_gpu::{Capacity, GpuScene, GpuView, Scratch, VIEWS_PER_SUBMISSION, deal, prepare};
+use ffgs_rasterizer_gpu::{
+    Capacity, GpuScene, GpuView, Scratch, VIEWS_PER_SUBMISSION, bin_to_tiles, prepare,
+};
 use ffgs_trainer::{Progress, TaskView};
 
 /// Steps between two looks at the running loss.
@@ -47,7 +49,7 @@ impl<'a> Workspace<'a> {
             let mut commands = gpu.commands();
             for target in group {
                 prepare(gpu, scene, &target.view, &self.scratch, options, 0);
-                deal(&mut commands, scene, &target.view, &self.scratch);
+                bin_to_tiles(&mut commands, scene, &target.view, &self.scratch);
             }
             gpu.submit(commands)?;
         }

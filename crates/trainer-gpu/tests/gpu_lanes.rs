@@ -6,8 +6,9 @@ use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, PixelNoise,
-    Prior, StaticLane, StaticMethod, Surroundings, TrainBackend, train_dynamic, train_first_frame, train_sky,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, PixelNoise, Prior,
+    StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend, train_dynamic, train_first_frame,
+    train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use scene::{SKY, World, blob, information, joint, mean_psnr, perturbed, photographs, world};
@@ -45,8 +46,8 @@ fn static_steps<B: TrainBackend>(
     (views, sky): (&[TrainingView], &SkyCube),
     layer: &mut Arc<Gaussians>,
 ) -> Result<(), B::Error> {
-    let photographed = Photographed { views, sky };
-    StaticLane::default().train(backend, config, photographed, (layer, &mut Vec::new()), 3, &mut |_| {})
+    let targets = StaticTargets { views, sky };
+    StaticLane::default().train(backend, config, targets, (layer, &mut Vec::new()), 3, &mut |_| {})
 }
 
 #[test]

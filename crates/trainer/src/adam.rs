@@ -13,7 +13,7 @@ use rayon::prelude::*;
 const CHUNK: usize = 512;
 
 /// Step sizes per column of a Gaussian set; 0 freezes a column.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LearningRates {
     /// Positions (m).
     pub means: f32,

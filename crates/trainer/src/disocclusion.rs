@@ -128,9 +128,8 @@ pub fn train_disoccluded<B: TrainBackend>(
     let extent = robust_extent(&found);
     let schedule = Schedule {
         iterations: config.iterations,
-        sh_degree: &|_| None,
-        dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
+        ..Schedule::default()
     };
     let mut density = DensityControl::new(DensityConfig::default(), seed);
     let reuse_at = (REUSE_AT * config.iterations as f32) as usize;

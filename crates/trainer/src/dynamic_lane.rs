@@ -123,9 +123,8 @@ pub fn train_dynamic<B: TrainBackend>(
     let task = LayerTask { prior: surroundings.prior, ..LayerTask::new(&mut layer, views, around) };
     let schedule = Schedule {
         iterations: config.iterations,
-        sh_degree: &|_| None,
-        dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
+        ..Schedule::default()
     };
     let trained = train_layer(backend, task, &schedule, seed, report);
     *dynamic = Arc::unwrap_or_clone(layer);

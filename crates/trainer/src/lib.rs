@@ -42,5 +42,5 @@ pub use prior::{Drift, KINDS, Kind, Prior};
 pub use schedule::{Epochs, Schedule, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
-pub use static_lane::{ColourVariance, Photographed, StaticLane};
+pub use static_lane::{ColourVariance, StaticLane, StaticTargets};
 pub use view::{Progress, camera_extent};

@@ -49,6 +49,13 @@ pub struct Schedule<'a> {
     pub rates: &'a dyn Fn(usize) -> LearningRates,
 }
 
+impl Default for Schedule<'_> {
+    /// No steps; with all SH coefficients, and without dropout.
+    fn default() -> Self {
+        Self { iterations: 0, sh_degree: &|_| None, dropout: 0.0, rates: &|_| LearningRates::default() }
+    }
+}
+
 impl Schedule<'_> {
     /// Takes the steps, over `views`. `after` is called with the number of steps done, for what comes between two of them.
     ///

@@ -3,7 +3,7 @@
 use super::capture::{self, FRAMES, copy_folder, files};
 use super::circling;
 use super::damage::Random;
-use super::interposer::{Interposer, Told, told};
+use super::interposer::{CallCounts, Interposer, call_counts};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::cell::Cell;
@@ -33,7 +33,7 @@ pub(crate) struct Laboratory {
     /// The repository.
     pub root: PathBuf,
     /// Calls to the system of the undisturbed run of the smallest capture; none where the library is not to be had.
-    pub calls: Told,
+    pub calls: CallCounts,
     /// Most memory that the undisturbed run held (KiB); 0 where it is not known.
     pub peak: u64,
     interposer: Result<Interposer>,
@@ -46,13 +46,13 @@ impl Laboratory {
     pub(crate) fn new(root: &Path, program: PathBuf) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let interposer = Interposer::build(folder.path());
-        let (root, calls) = (root.to_owned(), Told::new());
+        let (root, calls) = (root.to_owned(), CallCounts::new());
         let mut laboratory = Self { root, calls, peak: 0, interposer, program, folder };
         capture::cut(&laboratory.root, &laboratory.capture())?;
         circling::write(&laboratory.smallest_capture(), FRAMES)?;
         let mut case = Case::new(&laboratory, 0, "reference", 0)?;
         undisturbed(&mut case, &laboratory.smallest_capture(), &laboratory.smallest_run())?;
-        let calls = told(&laboratory.report());
+        let calls = call_counts(&laboratory.report());
         undisturbed(&mut case, &laboratory.capture(), &laboratory.run())?;
         let peak = case.peak();
         (laboratory.calls, laboratory.peak) = (calls, peak);
@@ -204,7 +204,7 @@ impl<'a> Case<'a> {
         let report = self.laboratory.report();
         let _ = fs::remove_file(&report);
         let output = command.stdin(Stdio::null()).output().context("cannot start the program")?;
-        let peak = told(&report).get("peak").copied().unwrap_or(0);
+        let peak = call_counts(&report).get("peak").copied().unwrap_or(0);
         self.peak.set(self.peak.get().max(peak));
         judged(output).with_context(|| format!("ffgs {}", words.join(" ")))
     }

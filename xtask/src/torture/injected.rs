@@ -1,7 +1,7 @@
 //! Runs that are killed at a call to the system, and runs whose calls fail: every call in turn.
 
 use super::case::{Case, judged, names_a_file, run_words, said};
-use super::interposer::{Strike, Told, told};
+use super::interposer::{CallCounts, Strike, call_counts};
 use super::interrupted::{resume_to_equal, whole_frames};
 use anyhow::{Context, Result, ensure};
 use std::process::Output;
@@ -25,12 +25,12 @@ const FAULTS: [Fault; 8] = [
 ];
 
 /// Cases of [`killed_at_calls`]: one for each call that changes the disk.
-pub(crate) fn kills(calls: &Told) -> u64 {
+pub(crate) fn kills(calls: &CallCounts) -> u64 {
     DEADLY.iter().filter_map(|call| calls.get(*call)).sum()
 }
 
 /// Cases of [`failing_calls`]: one for each call and each of its errors.
-pub(crate) fn faults(calls: &Told) -> u64 {
+pub(crate) fn faults(calls: &CallCounts) -> u64 {
     FAULTS.iter().filter_map(|fault| calls.get(fault.0)).sum()
 }
 
@@ -57,7 +57,7 @@ pub(crate) fn killed_at_calls(case: &mut Case) -> Result<()> {
 pub(crate) fn failing_calls(case: &mut Case) -> Result<()> {
     let ((call, errno, words, lasting), at) = nth(case, FAULTS.into_iter(), |fault| fault.0)?;
     let output = judged(struck(case, Strike { call, at, errno, lasting })?)?;
-    let made = told(&case.laboratory.report()).get(call).copied().unwrap_or(0);
+    let made = call_counts(&case.laboratory.report()).get(call).copied().unwrap_or(0);
     ensure!(made >= at, "{call} {at} was never made: {made} were");
     if !output.status.success() {
         let text = said(&output);

@@ -21,7 +21,7 @@ pub(crate) struct Strike {
 }
 
 /// Calls by their names, and `peak`: the most memory that was held (KiB).
-pub(crate) type Told = BTreeMap<String, u64>;
+pub(crate) type CallCounts = BTreeMap<String, u64>;
 
 /// The compiled library.
 pub(crate) struct Interposer(PathBuf);
@@ -61,7 +61,7 @@ impl Strike {
 }
 
 /// What the library wrote at the end of a program that was not killed.
-pub(crate) fn told(report: &Path) -> Told {
+pub(crate) fn call_counts(report: &Path) -> CallCounts {
     let text = fs::read_to_string(report).unwrap_or_default();
     let number =
         |line: &str| line.split_once(' ').and_then(|(name, n)| Some((name.to_owned(), n.parse().ok()?)));

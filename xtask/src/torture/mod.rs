@@ -20,7 +20,7 @@ mod mutation;
 use crate::{ffgs, workspace};
 use anyhow::{Context, Result, ensure};
 use case::{Case, Laboratory};
-use interposer::Told;
+use interposer::CallCounts;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -83,7 +83,7 @@ impl Options {
     }
 
     /// The numbers of a round's cases.
-    fn cases(&self, kind: &Kind, round: u64, calls: &Told) -> Vec<usize> {
+    fn cases(&self, kind: &Kind, round: u64, calls: &CallCounts) -> Vec<usize> {
         let count = self.cases.unwrap_or(if self.in_ci { kind.in_ci } else { kind.by_hand });
         match (self.case, kind.every) {
             (Some(case), _) => vec![case],
@@ -113,7 +113,7 @@ struct Kind {
     by_hand: usize,
     torment: Torment,
     /// How many different cases there are when they do not follow from the seed.
-    every: Option<fn(&Told) -> u64>,
+    every: Option<fn(&CallCounts) -> u64>,
 }
 
 const fn kind(name: &'static str, in_ci: usize, by_hand: usize, torment: Torment) -> Kind {
@@ -121,7 +121,7 @@ const fn kind(name: &'static str, in_ci: usize, by_hand: usize, torment: Torment
 }
 
 impl Kind {
-    const fn of(self, every: fn(&Told) -> u64) -> Self {
+    const fn of(self, every: fn(&CallCounts) -> u64) -> Self {
         Self { every: Some(every), ..self }
     }
 }

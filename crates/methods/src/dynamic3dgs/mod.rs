@@ -35,8 +35,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use terms::Poses;
 
-pub use params::read_params;
-
 /// Colour per unit of SH coefficient 0.
 const SH0: f32 = 0.282_094_8;
 
@@ -205,12 +203,8 @@ impl MotionMethod for Dynamic3dgs {
             gaussians,
         };
         let rates = self.rates(camera_extent(step.now));
-        let schedule = Schedule {
-            iterations: self.config.iterations,
-            sh_degree: &|_| None,
-            dropout: 0.0,
-            rates: &|_| rates,
-        };
+        let schedule =
+            Schedule { iterations: self.config.iterations, rates: &|_| rates, ..Schedule::default() };
         schedule.run(&mut training, &mut view_order(step), |_, _| Ok(()), &mut |_| ())?;
         log.since("training", timer);
         Ok(Finetuning::Done)
@@ -222,7 +216,7 @@ impl MotionMethod for Dynamic3dgs {
             return Ok(Vec::new());
         }
         let file = folder.join("params.npz");
-        params::write(&file, &scene.dynamic.gaussians, None)?;
+        params::write(&file, &scene.dynamic.gaussians)?;
         Ok(vec![file])
     }
 

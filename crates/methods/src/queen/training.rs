@@ -57,9 +57,8 @@ impl<'a, 'b, 'v> Frame<'a, 'b, 'v> {
             |i: usize| decay(config.position_rate, config.position_rate_end, i + 1, DECAY_STEPS) * extent;
         let schedule = Schedule {
             iterations: config.epochs * self.views,
-            sh_degree: &|_| None,
-            dropout: 0.0,
             rates: &|iteration| LearningRates::with_means(rate(iteration)),
+            ..Schedule::default()
         };
         schedule.run(&mut self, &mut view_order(step), |_, _| Ok(()), &mut |_| ())
     }

@@ -20,6 +20,7 @@ mod footprints;
 mod solve;
 mod spread;
 
+use crate::added::SH0_BY_REST;
 use crate::deformation::{columns, unit};
 use crate::neighbours::Neighbours;
 use crate::one_layer;
@@ -82,7 +83,7 @@ impl TrackersplatConfig {
             scales: self.scale_rate,
             opacities: self.opacity_rate,
             sh0: self.sh0_rate,
-            sh_rest: self.sh0_rate / 20.0,
+            sh_rest: self.sh0_rate / SH0_BY_REST,
         }
     }
 }
@@ -181,9 +182,8 @@ impl Trackersplat<'_> {
         let extent = camera_extent(step.now);
         let schedule = Schedule {
             iterations: self.config.iterations,
-            sh_degree: &|_| None,
-            dropout: 0.0,
             rates: &|done| self.config.rates(done, extent),
+            ..Schedule::default()
         };
         (self.train)(task, &schedule, frame_seed(step))?;
         let trained = Arc::unwrap_or_clone(layer);

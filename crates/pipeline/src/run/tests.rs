@@ -8,11 +8,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// A capture that counts how often each image is decoded.
+/// A capture that counts how often each image and mask is opened, and hides their files, so that nothing else opens them.
 #[derive(Debug)]
 struct Counting {
     capture: Box<dyn Capture>,
-    decoded: Arc<Mutex<BTreeMap<String, usize>>>,
+    opened: Arc<Mutex<BTreeMap<String, usize>>>,
+}
+
+impl Counting {
+    fn count(&self, what: &str, at: ViewAt) {
+        *self.opened.lock().unwrap().entry(format!("{what} {at:?}")).or_default() += 1;
+    }
 }
 
 impl Capture for Counting {
@@ -33,15 +39,17 @@ impl Capture for Counting {
     }
 
     fn image(&self, at: ViewAt) -> Result<ImageRgb8, Fault> {
-        *self.decoded.lock().unwrap().entry(format!("{at:?}")).or_default() += 1;
+        self.count("image", at);
         self.capture.image(at)
     }
 
-    fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
-        self.capture.image_file(at)
+    fn image_with_file(&self, at: ViewAt) -> Result<(ImageRgb8, Option<Vec<u8>>), Fault> {
+        self.count("image", at);
+        self.capture.image_with_file(at)
     }
 
     fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault> {
+        self.count("mask", at);
         self.capture.mask(at)
     }
 
@@ -52,19 +60,18 @@ impl Capture for Counting {
 
 /// Training views of two frames, the views of frame 0's start, and the test views, each once.
 #[test]
-fn a_run_decodes_each_image_once() {
+fn a_run_opens_each_image_and_mask_once() {
     let folder = tempfile::tempdir().unwrap();
     let mut request = request(&folder.path().join("out"), &[], 2, false);
     request.device = Device::Cpu;
-    let decoded = Arc::default();
-    let counting =
-        Counting { capture: open_capture(&request.capture).unwrap(), decoded: Arc::clone(&decoded) };
+    let opened = Arc::default();
+    let counting = Counting { capture: open_capture(&request.capture).unwrap(), opened: Arc::clone(&opened) };
     let tests = counting.views(Split::Test).len();
     let starts = counting.views(Split::Init).len();
     run_frames(&Job::on(Box::new(counting), &request).unwrap()).unwrap();
-    let decoded = decoded.lock().unwrap();
-    assert!(decoded.values().all(|&count| count == 1), "{decoded:?}");
-    assert_eq!(decoded.len(), 2 * (3 + tests) + starts);
+    let opened = opened.lock().unwrap();
+    assert!(opened.values().all(|&count| count == 1), "{opened:?}");
+    assert_eq!(opened.len(), 2 * (2 * (3 + tests) + starts));
 }
 
 /// Everything but the static lane borrows the static layer: when that lane takes no step, a frame ends with the very one it began with.

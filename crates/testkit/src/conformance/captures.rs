@@ -1,5 +1,6 @@
 use super::{assert_names, in_1_and_8_threads};
 use ffgs_method::{Capture, CaptureFormat, Part, Split, ViewAt};
+use std::fs;
 use std::path::Path;
 
 /// What a [`CaptureFormat`] owes, on the capture in `folder`: it is detected there and not in an empty folder; names are
@@ -52,6 +53,11 @@ fn view_conforms(name: &str, capture: &dyn Capture, at: ViewAt) {
     assert!(mask.is_none_or(|mask| mask.size() == camera.size()), "{name}: {at:?}: a mask of another size");
     let file = capture.image_file(at);
     assert!(file.as_ref().is_none_or(|file| file.is_file()), "{name}: {at:?}: there is no file {file:?}");
+    let read = capture.image_with_file(at);
+    let (image, bytes) = read.unwrap_or_else(|fault| panic!("{name}: {at:?}: {fault}"));
+    assert!(image == one, "{name}: {at:?}: another image when its file is asked for too");
+    let read = file.and_then(|file| fs::read(file).ok());
+    assert!(bytes.is_none() || bytes == read, "{name}: {at:?}: the bytes are not those of the file");
 }
 
 #[cfg(test)]

@@ -51,8 +51,8 @@ impl World {
         }
         let covariances = vec![DMat3::from_diagonal(DVec3::splat(KNOWN * KNOWN)); order.len()];
         let ids = order.iter().map(|&k| k as u32).collect();
-        let (next_id, entitled) = (self.places.len() as u32, order.len());
-        let dynamic = Dynamic { gaussians, covariances, ids, next_id, entitled, ..Dynamic::default() };
+        let (next_id, growth_limit) = (self.places.len() as u32, order.len());
+        let dynamic = Dynamic { gaussians, covariances, ids, next_id, growth_limit, ..Dynamic::default() };
         Scene {
             static_layer: Gaussians::zeros(0, 0).into(),
             hidden: Vec::new(),

@@ -6,7 +6,7 @@ use criterion::{BenchmarkId, Criterion, Throughput};
 use ffgs_core::{Gaussians, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, Photographed, StaticLane, StaticMethod, Surroundings,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, StaticLane, StaticMethod, StaticTargets, Surroundings,
     train_dynamic,
 };
 use std::sync::Arc;
@@ -77,7 +77,7 @@ pub(crate) fn static_lane(c: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name, format!("{threads}t")), |b| {
                 b.iter(|| {
                     let (mut lane, mut layer) = (StaticLane::default(), Arc::new(layer.clone()));
-                    let seen = Photographed { views: &views, sky: &sky };
+                    let seen = StaticTargets { views: &views, sky: &sky };
                     let run = || {
                         lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| {})
                     };

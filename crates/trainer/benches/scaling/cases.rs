@@ -5,7 +5,7 @@ use crate::{held, memory};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, Photographed, StaticLane,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, StaticLane, StaticTargets,
     Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
 };
 use std::fmt;
@@ -167,7 +167,7 @@ impl Case {
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
         memory::restart_peak();
         let mut clock = Clock::start();
-        let (mut layer, seen) = (Arc::new(layer), Photographed { views, sky: &sky });
+        let (mut layer, seen) = (Arc::new(layer), StaticTargets { views, sky: &sky });
         let lane = &mut StaticLane::default();
         let Ok(()) =
             lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| clock.tick());

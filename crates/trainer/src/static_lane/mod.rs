@@ -13,12 +13,12 @@ use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use std::sync::Arc;
 use trace::ViewTrace;
 
-/// What the static lane compares with.
+/// The photographs that the static lane compares its renders with, and the background of these renders.
 #[derive(Clone, Copy, Debug)]
-pub struct Photographed<'a> {
+pub struct StaticTargets<'a> {
     /// Photographs and masks.
     pub views: &'a [TrainingView],
-    /// What shows behind the layer.
+    /// Seen behind the layer.
     pub sky: &'a SkyCube,
 }
 
@@ -34,16 +34,16 @@ fn contributors(config: &BackgroundConfig, views: &[TrainingView]) -> usize {
     (config.solve_memory_mib << 20).checked_div(bytes).unwrap_or(0).min(MOST_CONTRIBUTORS)
 }
 
-/// The static lane of a run. It keeps what it learns of the views: a fixed camera is traced once.
+/// The static lane of a run. It keeps the contributors of each pixel: a fixed camera is traced once.
 #[derive(Clone, Debug, Default)]
 pub struct StaticLane {
     traces: Vec<ViewTrace>,
 }
 
 impl StaticLane {
-    /// Finetunes the colours of `layer`, of which so much is `known` (nothing, when empty), whose geometry and opacities are those of the last call unless
-    /// [`forget`](Self::forget) was called since. The steps run on
-    /// `backend`, the linear solve always on the CPU.
+    /// Finetunes the colours of `layer`. `known` are the variances of these colours before the frame; empty = nothing is known.
+    /// Geometry and opacities must be those of the last call, unless [`forget`](Self::forget) was called since. The steps
+    /// run on `backend`, the linear solve always on the CPU.
     ///
     /// # Errors
     /// When the device fails or has too little memory; `layer` is then as it was.
@@ -51,12 +51,12 @@ impl StaticLane {
         &mut self,
         backend: &B,
         config: &BackgroundConfig,
-        photographed: Photographed,
+        targets: StaticTargets,
         (layer, known): (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
         seed: u64,
         report: &mut dyn FnMut(Progress),
     ) -> Result<(), B::Error> {
-        let Photographed { views, sky } = photographed;
+        let StaticTargets { views, sky } = targets;
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
@@ -66,10 +66,11 @@ impl StaticLane {
             solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
             return Ok(());
         }
-        steps::train(backend, config, photographed, layer, seed, report)
+        steps::train(backend, config, targets, layer, seed, report)
     }
 
-    /// The layer has another shape: all views are traced anew, as in a run that is resumed here.
+    /// To be called when positions, shapes or opacities of the layer changed: all views are traced again, as in a run that is
+    /// resumed here.
     pub fn forget(&mut self) {
         self.traces.clear();
     }

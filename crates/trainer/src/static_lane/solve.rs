@@ -109,7 +109,7 @@ struct System<'a> {
     /// (N + 1), and for each Gaussian the places in these columns.
     places: (Vec<u32>, Vec<u32>),
     /// Derivative of the clamp of colours, over (view, seen): 0 where clamped, else 1.
-    answers: Vec<Vec3>,
+    clamp_slopes: Vec<Vec3>,
     /// (N) noise over variance, of coefficient 0 and of the others.
     ridge: Vec<[f32; 2]>,
 }
@@ -127,8 +127,8 @@ impl<'a> System<'a> {
         traces.iter().for_each(|t| offsets.push(offsets[offsets.len() - 1] + t.seen.len()));
         let ridge = known.iter().map(|v| v.map(|v| config.solve_noise.powi(2) / v)).collect();
         let places = invert(traces, layer.len());
-        let answers = traces.iter().flat_map(|t| answers(t, layer)).collect();
-        Self { traces, residuals, gaussians: layer.len(), coefficients, offsets, places, answers, ridge }
+        let clamp_slopes = traces.iter().flat_map(|t| clamp_slopes(t, layer)).collect();
+        Self { traces, residuals, gaussians: layer.len(), coefficients, offsets, places, clamp_slopes, ridge }
     }
 
     /// Runs `visit(view, pixel, colour sums)` over all pixels to get what is sent back, and returns `A^T` of it.
@@ -163,7 +163,7 @@ impl<'a> System<'a> {
         let mut out = vec![Vec3::ZERO; self.gaussians * k];
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
             for &place in self.places_of(i) {
-                let sent = back[place as usize] * self.answers[place as usize];
+                let sent = back[place as usize] * self.clamp_slopes[place as usize];
                 out.iter_mut().zip(self.basis(place as usize)).for_each(|(o, &b)| *o += b * sent);
             }
         });
@@ -189,7 +189,7 @@ impl<'a> System<'a> {
                 let x = &x[i as usize * k..(i as usize + 1) * k];
                 let basis = &trace.basis[at * k..(at + 1) * k];
                 let sum = x.iter().zip(basis).fold(Vec3::ZERO, |sum, (&x, &b)| sum + b * x);
-                sum * self.answers[start + at]
+                sum * self.clamp_slopes[start + at]
             };
             trace.seen.iter().enumerate().map(colour).collect::<Vec<_>>()
         };
@@ -225,7 +225,7 @@ impl<'a> System<'a> {
     /// Diagonal of the normal equations, the preconditioner.
     fn diagonal(&self) -> Vec<Vec3> {
         let k = self.coefficients;
-        let mut squares: Vec<f32> = Vec::with_capacity(self.answers.len());
+        let mut squares: Vec<f32> = Vec::with_capacity(self.clamp_slopes.len());
         for (v, trace) in self.traces.iter().enumerate() {
             let mut part = vec![0.0; trace.seen.len()];
             for pixel in (0..trace.pixels()).filter(|&p| self.residuals[v].counted[p]) {
@@ -237,7 +237,7 @@ impl<'a> System<'a> {
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
             out.iter_mut().enumerate().for_each(|(c, o)| *o = Vec3::splat(self.ridge[i][c.min(1)]));
             for &place in self.places_of(i) {
-                let s = squares[place as usize] * self.answers[place as usize];
+                let s = squares[place as usize] * self.clamp_slopes[place as usize];
                 out.iter_mut().zip(self.basis(place as usize)).for_each(|(o, &b)| *o += b * b * s);
             }
         });
@@ -252,7 +252,7 @@ impl<'a> System<'a> {
         iterations: usize,
         mut report: impl FnMut(usize, f64),
     ) -> Vec<Vec3> {
-        let zero = vec![Vec3::ZERO; self.answers.len()];
+        let zero = vec![Vec3::ZERO; self.clamp_slopes.len()];
         let right = self.transpose(&zero, |v, pixel, _| self.residuals[v].values[pixel]);
         let mut squares: f64 = self
             .residuals
@@ -308,7 +308,7 @@ fn invert(traces: &[ViewTrace], n: usize) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// Per channel of each seen Gaussian: 0 where its present colour lies below the clamp at 0, else 1.
-fn answers(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
+fn clamp_slopes(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
     let center = trace.camera.center().as_vec3();
     let of = |&i: &u32| {
         let i = i as usize;
@@ -323,7 +323,7 @@ fn answers(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CpuBackend, Photographed, StaticLane, from_points};
+    use crate::{CpuBackend, StaticLane, StaticTargets, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
     use std::sync::Arc;
 
@@ -373,10 +373,10 @@ mod tests {
         let mut out = Arc::new(layer.clone());
         let config =
             BackgroundConfig { solve_iterations: 40, solve_noise: 0.005, ..BackgroundConfig::default() };
-        let photographed = Photographed { views, sky };
+        let targets = StaticTargets { views, sky };
         let lane = &mut StaticLane::default();
         let mut known = Vec::new();
-        lane.train(&CpuBackend, &config, photographed, (&mut out, &mut known), 1, &mut |_| {}).unwrap();
+        lane.train(&CpuBackend, &config, targets, (&mut out, &mut known), 1, &mut |_| {}).unwrap();
         Arc::unwrap_or_clone(out)
     }
 
@@ -408,8 +408,8 @@ mod tests {
             let (mut out, mut known) = (Arc::new(layer.clone()), Vec::new());
             let mut lane = StaticLane::default();
             let mut frame = |views: &[TrainingView], out: &mut Arc<Gaussians>| {
-                let photographed = Photographed { views, sky: &sky };
-                lane.train(&CpuBackend, &config, photographed, (out, &mut known), 1, &mut |_| {}).unwrap();
+                let targets = StaticTargets { views, sky: &sky };
+                lane.train(&CpuBackend, &config, targets, (out, &mut known), 1, &mut |_| {}).unwrap();
             };
             (0..frames).for_each(|_| frame(&views, &mut out));
             let before = out.clone();

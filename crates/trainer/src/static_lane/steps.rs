@@ -1,6 +1,6 @@
 //! The static lane as the paper has it: steps of Adam on the SH coefficients, one view each.
 
-use super::Photographed;
+use super::StaticTargets;
 use crate::adam::Columns;
 use crate::backend::{Around, LayerTask, LayerTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};
@@ -13,7 +13,7 @@ use std::sync::Arc;
 pub(super) fn train<B: TrainBackend>(
     backend: &B,
     config: &BackgroundConfig,
-    Photographed { views, sky }: Photographed,
+    StaticTargets { views, sky }: StaticTargets,
     layer: &mut Arc<Gaussians>,
     seed: u64,
     report: &mut dyn FnMut(Progress),
@@ -26,9 +26,8 @@ pub(super) fn train<B: TrainBackend>(
     let mut training = backend.upload_layer(LayerTask { columns: Columns::COLOURS, ..task })?;
     let schedule = Schedule {
         iterations: config.static_iterations,
-        sh_degree: &|_| None,
-        dropout: 0.0,
         rates: &|_| config.static_rates(),
+        ..Schedule::default()
     };
     schedule.run(&mut training, &mut Epochs::new(views.len(), seed), |_, _| Ok(()), report)?;
     training.download()

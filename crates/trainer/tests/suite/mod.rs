@@ -7,8 +7,8 @@ use ffgs_core::{
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_trainer::{
     Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
-    LayerTraining, LearningRates, LossRegion, Photographed, PhotometricLoss, Schedule, SkyView, StaticLane,
-    StaticMethod, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic, train_first_frame,
+    LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticLane, StaticMethod,
+    StaticTargets, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic, train_first_frame,
     train_sky,
 };
 use glam::{DMat4, DVec3};
@@ -121,9 +121,9 @@ impl World {
     /// The static lane, from wrong colours.
     pub(crate) fn recolour<B: TrainBackend>(&self, backend: &B, method: StaticMethod) -> Gaussians {
         let mut layer = Arc::new(recoloured(&self.fixed));
-        let photographed = Photographed { views: &self.views, sky: &self.sky };
+        let targets = StaticTargets { views: &self.views, sky: &self.sky };
         let (config, mut lane) = (static_config(method), StaticLane::default());
-        lane.train(backend, &config, photographed, (&mut layer, &mut Vec::new()), SEED, &mut |_| {}).unwrap();
+        lane.train(backend, &config, targets, (&mut layer, &mut Vec::new()), SEED, &mut |_| {}).unwrap();
         Arc::unwrap_or_clone(layer)
     }
 
@@ -274,7 +274,7 @@ pub(crate) fn what_is_fixed_stays<B: TrainBackend>(backend: &B) {
     let mut training = backend.upload_layer(task).unwrap();
     let rates =
         LearningRates { means: 0.0, quats: 0.0, scales: 1e-2, opacities: 1e-2, sh0: 1e-2, sh_rest: 1e-3 };
-    let schedule = Schedule { iterations: 12, sh_degree: &|_| None, dropout: 0.0, rates: &|_| rates };
+    let schedule = Schedule { iterations: 12, rates: &|_| rates, ..Schedule::default() };
     schedule
         .run(&mut training, &mut Epochs::new(world.views.len(), SEED), |_, _| Ok(()), &mut |_| {})
         .unwrap();
