@@ -1,6 +1,5 @@
 //! What a run was made from: a capture that changes between two halves of a run is noticed.
 
-use crate::frame::{init_views, test_views, training_views};
 use anyhow::{Context, Result};
 use crc32fast::Hasher;
 use ffgs_core::{ImageRgb8, Mask, TrainingView, open_input};
@@ -43,12 +42,9 @@ pub(crate) fn capture_digest(capture: &dyn Capture) -> Result<String> {
 /// CRC-32 of what was read, and its length (bytes).
 pub(crate) type Checksum = (u32, u64);
 
-/// Digest of what a finished frame was made from and measured on, read again without decoding where that can be.
-pub(crate) fn digest_again(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<String> {
-    let shots =
-        [training_views(views, frame), test_views(capture, frame), init_views(capture, frame)].concat();
-    let sums = shots.par_iter().map(|&at| checksum_again(capture, at)).collect::<Result<_>>()?;
-    frame_digest(capture, views, frame, sums)
+/// Checksums of views that are not in memory. Nothing is decoded but masks, where files hold the images.
+pub(crate) fn checksums(capture: &dyn Capture, views: &[ViewAt]) -> Result<Vec<Checksum>> {
+    views.par_iter().map(|&at| checksum_again(capture, at)).collect()
 }
 
 /// Digest of what a frame is made from and measured on. `views` are the training views used, `sums` the checksums of these,

@@ -16,7 +16,7 @@ use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::method::Parts;
-use crate::provenance::{digest_again, frame_digest};
+use crate::provenance::{checksums, frame_digest};
 use crate::publish::publish;
 use crate::record::{FrameRecord, Metrics};
 use crate::registry::{self, open_capture};
@@ -151,7 +151,7 @@ impl<'a> Job<'a> {
     fn finished_record(&self, frame: usize) -> Result<FrameRecord> {
         let record = FrameRecord::read(&self.folder, frame, &*self.capture)?;
         if let Some(inputs) = &record.inputs
-            && *inputs != digest_again(&*self.capture, &self.views, frame)?
+            && *inputs != self.inputs_again(frame)?
         {
             bail!(
                 "an image, mask or track of frame {frame} in {} is not what {} was made from; bring it back, or run \
@@ -161,6 +161,14 @@ impl<'a> Job<'a> {
             );
         }
         Ok(record)
+    }
+
+    /// The digest of a finished frame's inputs as they are now.
+    fn inputs_again(&self, frame: usize) -> Result<String> {
+        let capture = &*self.capture;
+        let views =
+            [training_views(&self.views, frame), test_views(capture, frame), init_views(capture, frame)];
+        frame_digest(capture, &self.views, frame, checksums(capture, &views.concat())?)
     }
 
     fn config(&self) -> &Config {

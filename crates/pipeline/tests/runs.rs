@@ -164,3 +164,26 @@ fn other_methods_train_one_layer_and_resume() {
         assert_ne!(scene.dynamic.gaussians, start.joint(), "{name}");
     }
 }
+
+/// The method's own result of a second frame, without finetuning: positions with covariances of their own, and growth up to its limit.
+#[test]
+fn a_second_frame_has_covariances_of_its_own_and_grows_to_its_limit() {
+    let folder = TempDir::new().unwrap();
+    let run_with = |max_growth: f64| {
+        let out = folder.path().join(max_growth.to_string());
+        let mut request = request(&out, 0);
+        request.config.densification.max_growth = max_growth;
+        run(&request).unwrap();
+        [0, 1].map(|t| state::load(&RunFolder(out.clone()).state(t), t).unwrap().dynamic)
+    };
+    let ([first, kept], [_, grown]) = (run_with(0.5), run_with(1.5));
+    assert_eq!(kept.next_id, first.next_id, "nothing grows where more are left than allowed");
+    assert!(grown.next_id > first.next_id && grown.gaussians.len() > kept.gaussians.len());
+    assert!(grown.gaussians.len() as f64 <= 1.5 * grown.growth_limit as f64);
+
+    let sound = |c: &glam::DMat3| c.is_finite() && c.determinant() > 0.0;
+    assert!(kept.q > 0.0 && kept.covariances.iter().all(sound));
+    let before = |id: &u32| first.covariances[first.ids.iter().position(|other| other == id).unwrap()];
+    let changed = kept.ids.iter().zip(&kept.covariances).filter(|(id, c)| before(id) != **c).count();
+    assert!(2 * changed > kept.ids.len(), "{changed} of {} were fused", kept.ids.len());
+}
