@@ -1,5 +1,4 @@
-//! What a calibration says, whatever program wrote it: lenses with their distortion, poses, and where the pictures
-//! are.
+//! Calibrations of many programs in one form: lenses with their distortion, poses, and where the pictures are.
 //!
 //! Each format is a file in [`formats`] that turns its own axes, units and pixel centres into this project's:
 //! world-to-camera with OpenCV axes, and the centre of the first pixel at (0.5, 0.5).

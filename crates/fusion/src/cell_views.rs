@@ -1,4 +1,4 @@
-//! How a cell departs from the motion of its group, as each view shows it by itself.
+//! Residual motion of a cell against its group, from each view alone.
 //!
 //! A cell that really departs does so in every view; what trackers get wrong in one view, alike or not, has nothing to
 //! do with what they get wrong in another. So the scatter of the views about a common departure says how well it is

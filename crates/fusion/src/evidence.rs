@@ -1,4 +1,4 @@
-//! What the trackers say, in information form, and how far they are from a motion.
+//! The trackers' estimates in information form, and their residuals to a motion.
 
 use crate::symmetric::Symmetric;
 use ffgs_core::{EstimateStatus, Estimates};

@@ -1,6 +1,6 @@
-//! Whether what belongs to a group is as rigid as the group: a probability for each Gaussian, with a memory.
+//! Probability that a Gaussian departs from the motion of its rigid group, filtered over frames.
 //!
-//! Nothing here reads what the trackers claim, so a factor on their covariances changes nothing.
+//! The covariances of the trackers are not read here, so a factor on them changes nothing.
 
 use crate::cell_views::{Departing, ViewObservations};
 use crate::groups::Groups;

@@ -1,4 +1,4 @@
-//! Discovers what moves rigidly together, from the motion alone; beyond the paper.
+//! Discovers rigid groups from the motion alone; beyond the paper.
 //!
 //! The cloud is cut into compact cells. Each cell estimates its own motion. Larger nodes of the same tree propose
 //! rigid motions; the proposal that explains most cells founds a group, is fitted again to a connected set of them,

@@ -1,4 +1,4 @@
-//! Where every Gaussian's surroundings say that it goes: the prior of the fusion, beyond the paper.
+//! The prior of the fusion from the motion of each Gaussian's rigid group or neighbourhood; beyond the paper.
 
 use crate::config::{FusionConfig, Structure};
 use crate::correlation::correlation;

@@ -1,5 +1,5 @@
-//! In how many views, and in how many of their masks, points lie. Block by block of points and view by view, so that a
-//! mask stays in the cache; the points of a part side by side.
+//! Counts the views, and the masks, that points lie in. Blocks of points are tested view by view, so that a mask stays in the
+//! cache; the points of a block run in SIMD lanes.
 
 use crate::error::FusionError;
 use ffgs_core::{Camera, Intrinsics, Mask, instructions};

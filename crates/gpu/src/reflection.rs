@@ -1,4 +1,4 @@
-//! What a kernel's text says, found without a GPU: for tests that hold the host side to it.
+//! Struct layouts and constants of a kernel's source, read without a GPU, for tests that compare them with the host's.
 
 use crate::Kernel;
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! What trackers say: the motion of one view from t-1 to t.
+//! The motion of one view from t-1 to t, as trackers find it.
 
 use crate::{Capture, Fault, Plugin, Split, ViewAt};
 use ffgs_core::{ImageSize, ViewMotion};

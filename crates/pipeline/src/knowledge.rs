@@ -1,5 +1,5 @@
-//! What is known of the moving layer, from one frame to the next: predicted, used as the prior of the finetuning, and
-//! increased by what the frame's photographs tell (docs/adr/0019-what-a-frame-knows-is-kept.md).
+//! Information on the moving layer from one frame to the next: predicted, used as the prior of the finetuning, and
+//! increased by that of the frame's photographs (docs/adr/0019-what-a-frame-knows-is-kept.md).
 
 use ffgs_core::{Gaussians, Knowledge, Scene, TrainingView};
 use ffgs_fusion::symmetric_inverse;
@@ -7,7 +7,7 @@ use ffgs_rasterizer::Information;
 use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, information_gain};
 use glam::DMat3;
 
-/// What is known before a frame's photographs.
+/// The prediction before a frame's photographs.
 pub(crate) struct Predicted {
     information: Information,
     noise: PixelNoise,
@@ -51,7 +51,7 @@ impl Predicted {
     }
 }
 
-/// Adds what `views` tell of the trained scene; `predicted` is what was known before, and where the training began.
+/// Adds the information of `views` on the trained scene; `predicted` is the information before, and the start of the training.
 pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
     if scene.dynamic.gaussians.is_empty() {
         return;

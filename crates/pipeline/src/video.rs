@@ -1,4 +1,4 @@
-//! What is measured on a test view's video, its frames in time order: VMAF and flicker.
+//! Metrics of a test view's video, its frames in time order: VMAF and flicker.
 
 use crate::finished_run::FinishedRun;
 use crate::frame::load_view;

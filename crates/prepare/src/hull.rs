@@ -1,4 +1,4 @@
-//! The visual hull: the voxels that no mask denies.
+//! The visual hull: the voxels that nearly all masks contain.
 
 use ffgs_core::{Camera, Mask};
 use glam::DVec3;

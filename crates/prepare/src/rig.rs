@@ -1,4 +1,4 @@
-//! The footage's cameras with everything decided: size, pinhole, units, which are held out.
+//! The footage's cameras as the capture has them: size, pinhole, units, which are held out.
 
 use crate::timing::Sequence;
 use crate::{PrepareError, Request, TestCameras, pictures, video};

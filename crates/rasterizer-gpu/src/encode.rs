@@ -135,7 +135,7 @@ fn bits_of(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }
 
-/// Nearest depth per computed tile of the splats that were binned last, into `depths` (f32 a slot); empty tiles take that of the
+/// Nearest depth per computed tile of the splats that were binned last, into `depths` (one f32 per slot); empty tiles take that of the
 /// closest tiles that are not.
 pub fn tile_depths(commands: &mut Commands, view: &GpuView, scratch: &Scratch, depths: &Buffer) {
     let s = scratch;

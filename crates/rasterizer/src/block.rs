@@ -1,5 +1,5 @@
-//! Gaussians in blocks of a fixed size, one column a parameter: what is written as a loop over a block runs in the
-//! lanes of the dispatched instruction set.
+//! Gaussians in blocks of a fixed size, one column per parameter: a loop over a block runs in the lanes of the dispatched
+//! instruction set.
 
 use crate::elementary::sigmoid;
 use crate::projection::{Extent, PinholeF32, Splat, offset, splat};

@@ -1,4 +1,4 @@
-//! Split renders of a layer around a depth.
+//! Renders of a layer in two parts, in front of and behind a depth per tile.
 
 use crate::cpu::{BlendTile, CpuRasterizer};
 use crate::tape::{RenderTape, TilePixels, for_each_pixel};

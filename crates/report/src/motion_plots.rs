@@ -1,4 +1,4 @@
-//! The motion initialisation against ground truth: how large its errors are, and whether it knew.
+//! The motion initialisation against ground truth: its errors, and the calibration of its covariances.
 
 use crate::MotionAccuracy;
 use crate::plot::{Labels, Series, svg};

@@ -1,4 +1,4 @@
-//! What rendered captures cannot give: motion observations whose truth, noise, correlation and outliers are known.
+//! Simulated motion observations, whose truth, noise, correlation and outliers are known.
 //!
 //! ```
 //! use ffgs_simulator::{Recipe, Scenario, simulate};

@@ -1,4 +1,4 @@
-//! Static Gaussians whose shape has changed: those that training added to where something that moved had hidden them.
+//! Static Gaussians whose shape has changed: those that were trained where moving objects had occluded them.
 
 use crate::delta::{Residual, ResidualModels};
 use crate::numbers::Flag;

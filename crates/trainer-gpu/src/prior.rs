@@ -1,4 +1,4 @@
-//! What is known of the layer, on the device. CPU twin: `Penalty` in trainer/src/prior.rs.
+//! The prior of a layer's parameters, on the device. CPU twin: `Penalty` in trainer/src/prior.rs.
 
 use crate::kernels;
 use crate::layout::PriorUniform;

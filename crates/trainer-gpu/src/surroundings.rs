@@ -1,4 +1,4 @@
-//! What stands around a layer under training, on the device.
+//! The fixed surroundings of a layer under training, on the device.
 
 use crate::kernels;
 use crate::sky::GpuSky;

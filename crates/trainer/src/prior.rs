@@ -1,6 +1,6 @@
-//! What is known before a frame, as a quadratic penalty on the change of every parameter.
+//! The prior of a frame: a quadratic penalty on the change of every parameter.
 //!
-//! Between two frames what is known fades by a drift, `(1 / information + drift)^-1`, which is learnt from how far parameters
+//! Between two frames the information fades by a drift, `(1 / information + drift)^-1`, which is learnt from how far parameters
 //! that the photographs see well moved (an extended Kalman filter whose process noise follows from its innovations).
 
 use crate::gain::PixelNoise;

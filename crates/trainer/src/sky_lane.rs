@@ -1,4 +1,4 @@
-//! The sky lane: texels of the cube map, through what the static layer lets through.
+//! The sky lane: texels of the cube map, seen through the transmittance of the static layer.
 
 use crate::backend::{SkyTask, SkyTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};

@@ -1,4 +1,4 @@
-//! What a training loop knows of its views, and how far it has come.
+//! Views of a training loop, and its progress.
 
 use crate::constants::RUNNING_RATE;
 use ffgs_core::TrainingView;

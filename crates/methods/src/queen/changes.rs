@@ -1,4 +1,4 @@
-//! What changed in the photographs since the last frame, told by the Gaussians of that frame.
+//! Changes in the photographs since the last frame, gathered by the Gaussians of that frame.
 
 use super::QueenConfig;
 use crate::photographs::Comparison;

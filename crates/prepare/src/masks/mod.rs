@@ -1,4 +1,4 @@
-//! Foreground masks by what differs from each fixed camera's background, made to agree between the views.
+//! Foreground masks by difference from each fixed camera's background, made consistent between the views.
 
 mod background;
 mod contact_sheet;

@@ -1,4 +1,4 @@
-//! What stands around a layer under training, as a view sees it.
+//! The fixed surroundings of a layer under training, rendered for a view.
 
 use super::cut::Cut;
 use crate::background::SkyBehind;
