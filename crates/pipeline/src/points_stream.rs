@@ -33,11 +33,11 @@ pub(crate) fn write_points(capture: &dyn Capture, folder: &Path) -> Result<()> {
         antialiased: false,
         up: axes.up.to_array(),
         forward: axes.forward.to_array(),
-        static_steps: Steps::of(&still, &PRECISION),
-        dynamic_steps: Steps::of(&moving, &PRECISION),
+        static_steps: Steps::of(&still, &PRECISION[0]),
+        dynamic_steps: Steps::of(&moving, &PRECISION[1]),
     };
     // Nothing changes: one key is enough.
-    let mut writer = Writer::create(folder, manifest, [&still, &moving], [&PRECISION; 2], u64::MAX)?;
+    let mut writer = Writer::create(folder, manifest, [&still, &moving], PRECISION.each_ref(), u64::MAX)?;
     for frame in 0..capture.frames() as u64 {
         let (static_layer, dynamic_layer) = (&still, &moving);
         writer.push(&Frame {

@@ -3,7 +3,7 @@ use crate::{Problem, SplatError};
 use ffgs_core::write_atomically;
 use glam::Vec3;
 use image::codecs::jpeg::JpegEncoder;
-use image::{ImageFormat, RgbImage};
+use image::{ImageFormat, Rgb, RgbImage};
 use std::f32::consts::PI;
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -60,15 +60,15 @@ pub fn encode_sky_equirectangular(
     forward: Vec3,
 ) -> Result<Vec<u8>, Problem> {
     let faces = faces(face_size, texels)?;
-    // Twice the texels of a face along a quarter turn, so that a bilinear look-up finds the cube's own colours.
-    let height = 4 * face_size as u32;
+    // As many texels along a quarter turn as a face has: more would be interpolated ones.
+    let height = 2 * face_size as u32;
     let right = forward.cross(up);
     let mut picture = RgbImage::new(2 * height, height);
     for (x, y, pixel) in picture.enumerate_pixels_mut() {
         let (sin_y, cos_y) = ((y as f32 + 0.5) / height as f32 * PI).sin_cos();
         let (sin_x, cos_x) = ((x as f32 + 0.5) / height as f32 * PI - PI).sin_cos();
-        let (face, at) = face_pixel(sin_y * (cos_x * forward + sin_x * right) + cos_y * up, face_size);
-        *pixel = *faces[face].get_pixel(at[0], at[1]);
+        let (face, at) = face_place(sin_y * (cos_x * forward + sin_x * right) + cos_y * up, face_size);
+        *pixel = bilinear(&faces[face], at);
     }
     let mut bytes = Cursor::new(Vec::new());
     picture.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY))?;
@@ -111,8 +111,8 @@ impl Panorama {
     }
 }
 
-/// Face and pixel that a direction meets (OpenGL 4.6 specification, table 8.19).
-fn face_pixel(d: Vec3, face_size: usize) -> (usize, [u32; 2]) {
+/// Face that a direction meets (OpenGL 4.6 specification, table 8.19), and where: 0 to `face_size` along each side.
+fn face_place(d: Vec3, face_size: usize) -> (usize, [f32; 2]) {
     let size = d.abs();
     let (face, s, t, major) = if size.x >= size.y && size.x >= size.z {
         (0, -d.z * d.x.signum(), -d.y, d.x)
@@ -121,8 +121,19 @@ fn face_pixel(d: Vec3, face_size: usize) -> (usize, [u32; 2]) {
     } else {
         (4, d.x * d.z.signum(), -d.y, d.z)
     };
-    let pixel = |c: f32| ((0.5 + 0.5 * c / major.abs()) * face_size as f32).min(face_size as f32 - 1.0);
-    (face + usize::from(major < 0.0), [s, t].map(|c| pixel(c) as u32))
+    let place = |c: f32| (0.5 + 0.5 * c / major.abs()) * face_size as f32;
+    (face + usize::from(major < 0.0), [s, t].map(place))
+}
+
+/// The colour at a place of a face, constant over the outer half texel: what a render of the sky shows there.
+fn bilinear(face: &RgbImage, at: [f32; 2]) -> Rgb<u8> {
+    let last = face.width() as f32 - 1.0;
+    let [x, y] = at.map(|c| (c - 0.5).clamp(0.0, last));
+    let texel = |x: f32, y: f32| Vec3::from(face.get_pixel(x as u32, y as u32).0.map(f32::from));
+    let (right, below) = ((x + 1.0).min(last), (y + 1.0).min(last));
+    let (u, v) = (x.fract(), y.fract());
+    let row = |y: f32| texel(x, y).lerp(texel(right, y), u);
+    Rgb(row(y).lerp(row(below), v).to_array().map(|c| c.round() as u8))
 }
 
 fn faces(face_size: usize, texels: &[f32]) -> Result<Vec<RgbImage>, Problem> {

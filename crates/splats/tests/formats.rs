@@ -1,7 +1,10 @@
 //! The formats of today's players: what a file holds is what was written, to the format's precision.
 
 use ffgs_core::{Gaussians, sigmoid};
-use ffgs_splats::{FORMATS, Panorama, RenderMode, decode_spz, read_ply, write_sky_equirectangular};
+use ffgs_splats::{
+    FORMATS, Panorama, RenderMode, decode_spz, encode_sky_equirectangular, read_ply,
+    write_sky_equirectangular,
+};
 use glam::{Quat, Vec3};
 use std::path::Path;
 
@@ -167,19 +170,36 @@ fn the_sky_looks_up_at_the_top_and_forward_in_the_middle() {
     let texels: Vec<f32> = colours.iter().flat_map(|c| c.repeat(16 * 16)).collect();
     write_sky_equirectangular(&path, 16, &texels, Vec3::Z, Vec3::X).unwrap();
     let picture = image::open(&path).unwrap().to_rgb8();
-    assert_eq!((picture.width(), picture.height()), (128, 64));
+    assert_eq!((picture.width(), picture.height()), (64, 32));
     let brightest = |x, y| {
         let p = picture.get_pixel(x, y).0;
         (0..3).max_by_key(|&c| p[c]).unwrap()
     };
     // Right of +x, with +z up, is -y; +y is a quarter turn to the left.
-    assert_eq!([brightest(64, 32), brightest(10, 2), brightest(32, 32)], [0, 2, 1]);
-    let right = picture.get_pixel(96, 32).0;
+    assert_eq!([brightest(32, 16), brightest(5, 1), brightest(16, 16)], [0, 2, 1]);
+    let right = picture.get_pixel(48, 16).0;
     assert!(right.iter().all(|&v| v < 60), "{right:?}");
     let panorama = Panorama::decode(&std::fs::read(&path).unwrap(), Vec3::Z, Vec3::X).unwrap();
     for (direction, colour) in [(Vec3::X, colours[0]), (Vec3::Y, colours[2]), (Vec3::Z, colours[4])] {
         let found = Vec3::from(panorama.colour(direction));
         assert!((found - Vec3::from(colour)).abs().max_element() < 0.04, "{direction}: {found}");
+    }
+}
+
+/// Between the middles of two texels a panorama shows what lies between their colours, as a render of the cube does.
+#[test]
+fn a_panorama_is_interpolated() {
+    // The rows of +x are 0, 0.3, 0.6, 0.9; its t runs towards -y.
+    let rows: Vec<f32> = (0..16).flat_map(|i| [0.3 * (i / 4) as f32; 3]).collect();
+    let texels = rows.repeat(6);
+    let jpeg = encode_sky_equirectangular(4, &texels, Vec3::Z, Vec3::X).unwrap();
+    let picture = image::load_from_memory(&jpeg).unwrap().to_rgb8();
+    assert_eq!((picture.width(), picture.height()), (16, 8));
+    for column in 6..10 {
+        let angle = (column as f32 + 0.5) * std::f32::consts::PI / 8.0 - std::f32::consts::PI;
+        let expected = 0.3 * ((0.5 + 0.5 * angle.tan()) * 4.0 - 0.5).clamp(0.0, 3.0);
+        let found = [3, 4].map(|row| f32::from(picture.get_pixel(column, row)[1]) / 255.0);
+        assert!(found.iter().all(|f| (f - expected).abs() < 0.05), "{column}: {found:?}, not {expected}");
     }
 }
 

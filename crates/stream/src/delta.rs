@@ -34,10 +34,27 @@ impl Default for Residual {
 
 /// Changes smaller than this many steps are not sent. The sender sees what the receiver has, so they do not add up.
 pub(crate) const GATE: f64 = 0.75;
+/// Likewise of harmonics: most of what they change by from frame to frame is noise, and they are 45 of 59 numbers (docs/STREAM.md).
+const HARMONIC_GATE: f64 = 1.5;
 
 fn gated(target: f64, predicted: i32) -> i32 {
     let change = target - f64::from(predicted);
     if change.abs() < GATE { 0 } else { round(change) }
+}
+
+/// The changes of harmonics that are worth sending.
+pub(crate) fn gated_harmonics(
+    target: &[f64; MAX_HARMONICS],
+    sent: &[i16; MAX_HARMONICS],
+) -> [i16; MAX_HARMONICS] {
+    let mut out = [0; MAX_HARMONICS];
+    for (out, (target, sent)) in out.iter_mut().zip(target.iter().zip(sent)) {
+        let change = target - f64::from(*sent);
+        if change.abs() >= HARMONIC_GATE {
+            *out = round(change).clamp(-(1 << 13), 1 << 13) as i16;
+        }
+    }
+    out
 }
 
 /// The row that a group's motion predicts: position and rotation move with it, all else stays.
@@ -63,18 +80,13 @@ impl Residual {
             let change = (target.position[k] - f64::from(predicted.position[k])) / unit;
             if change.abs() < GATE { 0 } else { round(change) }
         };
-        let mut harmonics = [0; MAX_HARMONICS];
-        for (k, out) in harmonics.iter_mut().enumerate() {
-            *out =
-                gated(target.harmonics[k], predicted.harmonics[k].into()).clamp(-(1 << 13), 1 << 13) as i16;
-        }
         Self {
             position: [0, 1, 2].map(place),
             rotation: three(turned, predicted.rotation),
             scales: three(target.scales, predicted.scales),
             opacity: gated(target.opacity, predicted.opacity),
             colour: three(target.colour, predicted.colour),
-            harmonics,
+            harmonics: gated_harmonics(&target.harmonics, &predicted.harmonics),
         }
     }
 

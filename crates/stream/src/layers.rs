@@ -1,6 +1,6 @@
 //! The sections of both layers. Each is written down once, for the sender and the receiver.
 
-use crate::delta::{GATE, Residual, ResidualModels, predict};
+use crate::delta::{GATE, Residual, ResidualModels, gated_harmonics, predict};
 use crate::error::Problem;
 use crate::frame_file::take_u32;
 use crate::motion::Motion;
@@ -83,12 +83,8 @@ impl ColourChange {
     fn of(target: &Measures, row: &Row) -> Self {
         let change = [0, 1, 2].map(|k| target.colour[k] - f64::from(row.colour[k]));
         let sent = change.iter().any(|c| c.abs() >= GATE);
-        let mut harmonics = [0; MAX_HARMONICS];
-        for (k, out) in harmonics.iter_mut().enumerate() {
-            let change = target.harmonics[k] - f64::from(row.harmonics[k]);
-            *out = if change.abs() < GATE { 0 } else { round(change).clamp(-(1 << 13), 1 << 13) as i16 };
-        }
-        Self { colour: if sent { change.map(round) } else { [0; 3] }, harmonics }
+        let colour = if sent { change.map(round) } else { [0; 3] };
+        Self { colour, harmonics: gated_harmonics(&target.harmonics, &row.harmonics) }
     }
 
     fn apply(&self, row: &mut Row) {

@@ -225,6 +225,6 @@ impl Row {
 /// Rounds with a wider 0, which costs next to nothing to code.
 fn dead_zone(v: f64) -> i32 {
     /// Magnitudes below this become 0.
-    const EDGE: f64 = 0.65;
+    const EDGE: f64 = 0.7;
     if v.abs() < EDGE { 0 } else { round(v).clamp(-(1 << 14), 1 << 14) }
 }

@@ -20,8 +20,10 @@ use std::path::Path;
 const KEY_EVERY: u64 = 30;
 /// The mean difference of its texels (0..=1) from which a sky is sent again.
 const SKY_CHANGE: f32 = 2.0 / 255.0;
-/// Chosen so that no column alone costs more than about 0.05 dB on opaque pixels of the sample; docs/STREAM.md has the table.
-pub(crate) const PRECISION: Precision = Precision {
+/// Of the static and of the dynamic layer. Static positions are sent once, and one that is off opens gaps between its neighbours;
+/// docs/STREAM.md has the tables that the rest follows from.
+pub(crate) const PRECISION: [Precision; 2] = [Precision { position: 18.0, rotation: 54, ..DYNAMIC }, DYNAMIC];
+const DYNAMIC: Precision = Precision {
     position: 9.0,
     scales_per_octave: 4,
     rotation: 36,
@@ -149,7 +151,7 @@ fn deviation(covariance: &DMat3) -> f32 {
 fn open(out: &Path, run: &FinishedRun, first: usize, axes: Axes, options: &StreamOptions) -> Result<Writer> {
     let scene = run.scene(first)?;
     let (still, moving) = (&scene.static_layer, &scene.dynamic.gaussians);
-    let precision = PRECISION.times(options.precision);
+    let precision = PRECISION.map(|layer| layer.times(options.precision));
     let manifest = Manifest {
         format: String::new(),
         version: 0,
@@ -158,11 +160,11 @@ fn open(out: &Path, run: &FinishedRun, first: usize, axes: Axes, options: &Strea
         antialiased: true,
         up: axes.up.to_array(),
         forward: axes.forward.to_array(),
-        static_steps: Steps::of(still, &precision),
-        dynamic_steps: Steps::of(moving, &precision),
+        static_steps: Steps::of(still, &precision[0]),
+        dynamic_steps: Steps::of(moving, &precision[1]),
     };
     if !out.join("manifest.json").exists() {
-        return Ok(Writer::create(out, manifest, [still, moving], [&precision; 2], KEY_EVERY)?);
+        return Ok(Writer::create(out, manifest, [still, moving], precision.each_ref(), KEY_EVERY)?);
     }
     let writer = Writer::append(out, KEY_EVERY)?;
     let same =
