@@ -49,6 +49,11 @@ impl RunFolder {
         self.frame(frame).join("pictures.json")
     }
 
+    /// The circle around what moves, a [`ffgs_report::Turntable`]; a run writes it at its end.
+    pub fn turntable(&self) -> PathBuf {
+        self.0.join("turntable.json")
+    }
+
     /// How near to the truth the motion initialisation was, once `ffgs-lab motion-eval --run` has scored it.
     pub fn motion_accuracy(&self) -> PathBuf {
         self.0.join("motion-accuracy.json")

@@ -46,6 +46,7 @@ pub mod stage;
 pub mod start;
 pub mod state;
 pub mod terminal;
+mod turntable;
 mod video;
 mod view;
 mod vmaf;

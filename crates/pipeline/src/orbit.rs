@@ -6,10 +6,13 @@ use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use std::f64::consts::TAU;
 
-/// Room left around the circled object: its outline is about two median distances from its middle.
-const ORBIT_MARGIN: f64 = 2.5;
-/// Least elevation of an orbit, as a share of its radius.
-const ORBIT_ELEVATION: f64 = 0.3;
+/// Distance from the circled object, in median distances of its Gaussians from its middle, for a wide lens: near enough that little
+/// stands between.
+const ORBIT_MARGIN: f64 = 0.9;
+/// Elevation of an orbit as a share of its radius: what stands around hides less from above. At most as high as the highest camera,
+/// which is under a roof if there is one, but at least [`LEAST_ELEVATION`].
+const ORBIT_ELEVATION: f64 = 0.8;
+const LEAST_ELEVATION: f64 = 0.3;
 
 /// `views` cameras on a circle around one of the objects that the Gaussians `dynamic` of a frame are, with the lens and size of the
 /// first test camera.
@@ -62,13 +65,12 @@ fn one_object(points: &[DVec3]) -> (DVec3, f64) {
 /// Poses (camera from world) that look at `target`, an object of median radius `extent` (m).
 fn circle(cameras: &[Camera], target: DVec3, extent: f64, views: usize) -> Vec<DMat4> {
     let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
-    // The object and its margin fill the longer side of the image.
     let zoom = cameras
         .first()
         .map_or(1.0, |c| 2.0 * c.intrinsics().focal() / c.size().width.max(c.size().height) as f64);
     let radius = ORBIT_MARGIN * extent.max(1e-3) * (1.0 + zoom);
-    let height = median(cameras.iter().map(|c| (c.center() - target).dot(up)));
-    let height = height.clamp(ORBIT_ELEVATION * radius, radius);
+    let highest = cameras.iter().map(|c| (c.center() - target).dot(up)).fold(0.0, f64::max);
+    let height = highest.clamp(LEAST_ELEVATION * radius, ORBIT_ELEVATION * radius);
     let (east, north) = up.any_orthonormal_pair();
     let pose = |v: usize| {
         let (sin, cos) = (TAU * v as f64 / views as f64).sin_cos();
@@ -103,7 +105,7 @@ mod tests {
             let camera = Camera::new(lens, pose, size).unwrap();
             let seen = camera.project(DVec3::ZERO).unwrap().pixel;
             assert!((seen - glam::DVec2::new(32.0, 24.0)).length() < 1e-9);
-            assert!((2.0 - 1e-9..6.0).contains(&camera.center().z));
+            assert!((1.5..=2.0).contains(&camera.center().z), "above, and no higher than the camera");
             assert!(camera.project(DVec3::Z).unwrap().pixel.y < 24.0);
         }
     }

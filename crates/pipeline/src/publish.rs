@@ -26,6 +26,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     let input = ReportInput {
         motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },
         title: format!("fastflowgs: {}", manifest.capture),
+        turntable: Some(folder.turntable()).filter(|path| path.exists()),
         configuration: manifest.config.to_toml()?,
         facts,
         frames: metrics.frames.iter().map(|f| frame_report(folder, f)).collect(),

@@ -24,6 +24,7 @@ use crate::request::RunRequest;
 use crate::scoring::{mean_mpsnr, score, thumbnails, write_png};
 use crate::start::start;
 use crate::state;
+use crate::turntable::write_turntable;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomically};
 use ffgs_dataset::ImageCheck;
@@ -50,6 +51,9 @@ fn run_frames(job: &Job) -> Result<PathBuf> {
     let mut method = job.method()?;
     let (mut metrics, mut last) = job.finished_frames(&mut *method)?;
     let result = job.frames_after(&mut metrics, &mut last, &mut *method, &mut console);
+    if let (Ok(()), Some(last), Some(record)) = (&result, &last, metrics.frames.last()) {
+        write_turntable(&job.folder, &*job.capture, record.frame, &last.scene, job.devices())?;
+    }
     // Also when a frame failed: those before it are finished.
     if result.is_ok() || !metrics.frames.is_empty() {
         job.publish(&metrics)?;

@@ -8,6 +8,8 @@ use std::path::PathBuf;
 pub struct ReportInput {
     /// Title: what was reconstructed.
     pub title: String,
+    /// File of a circle around what moves, a [`crate::Turntable`]; `None` when there is none.
+    pub turntable: Option<PathBuf>,
     /// The configuration as text (TOML).
     pub configuration: String,
     /// Program version, machine, seeds: one line each.

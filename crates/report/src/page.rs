@@ -46,7 +46,10 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
     let (head, tail) = html.split_once(PICTURES).unwrap_or((&html, ""));
     write_atomically(path, |out| {
         out.write_all(head.as_bytes())?;
-        input.frames.iter().try_for_each(|frame| embed(frame, out))?;
+        for frame in &input.frames {
+            embed(frame.pictures.as_deref(), &format!("pictures-{}", frame.index), out)?;
+        }
+        embed(input.turntable.as_deref(), "turntable-data", out)?;
         Ok(out.write_all(tail.as_bytes())?)
     })
 }
@@ -67,14 +70,14 @@ fn render(input: &ReportInput) -> Result<String, ReportError> {
     Ok(environment.get_template("report.html")?.render(minijinja::value::Serde(&page))?)
 }
 
-/// A block of data per frame, which the script parses when the frame is shown.
-fn embed(frame: &FrameReport, out: &mut impl Write) -> Result<(), ReportError> {
-    let Some(path) = &frame.pictures else { return Ok(()) };
+/// A file of pictures as a block of data, which the script parses when they are shown.
+fn embed(path: Option<&Path>, id: &str, out: &mut impl Write) -> Result<(), ReportError> {
+    let Some(path) = path else { return Ok(()) };
     let text = read_text(path, MAX_PICTURES_BYTES)
-        .map_err(|source| ReportError::Pictures { path: path.clone(), source })?;
+        .map_err(|source| ReportError::Pictures { path: path.to_owned(), source })?;
     // The folder may come from someone else: a `<` of their text must not end the block. In JSON it stands in strings only.
     let text = text.replace('<', "\\u003c");
-    Ok(writeln!(out, "<script type=\"application/json\" id=\"pictures-{}\">{text}</script>", frame.index)?)
+    Ok(writeln!(out, "<script type=\"application/json\" id=\"{id}\">{text}</script>")?)
 }
 
 /// Metrics that every run has; the others, of videos, come with `ffgs eval`.

@@ -34,6 +34,15 @@ pub struct FramePictures {
     pub uncertainty: Option<String>,
 }
 
+/// Pictures all around what moves in a frame, in order, as `data:` URIs (JPEG).
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Turntable {
+    /// Frame.
+    pub frame: usize,
+    /// The pictures.
+    pub pictures: Vec<String>,
+}
+
 /// Size of the pictures of a run: the more there are, the smaller is each, so that the report of the whole run keeps a
 /// bounded size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +56,11 @@ impl Thumbnails {
         let pictures = frames.max(1) * (3 * views + 2);
         // Base64 writes three bytes as four characters.
         Self { most_bytes: REPORT_BYTES / 4 * 3 / pictures }
+    }
+
+    /// Of at most so many bytes each, before they become text.
+    pub fn of_bytes(most_bytes: usize) -> Self {
+        Self { most_bytes }
     }
 
     /// Ground truth, render and error of a view; `None` when the sizes differ.

@@ -3,6 +3,7 @@ const at = (id) => document.getElementById(id);
 const names = [...new Set(frames.flatMap((f) => f.views.map((v) => v.name)))];
 const state = { frame: 0, view: 0, timer: null };
 const FRAME_MILLISECONDS = 250;
+const TURN_MILLISECONDS = 120;
 
 function picture(img, source) {
   img.closest("figure").style.visibility = source ? "visible" : "hidden";
@@ -60,6 +61,7 @@ function start() {
   document.addEventListener("keydown", (e) => {
     const keys = { ArrowLeft: ["frame", -1, frames.length], ArrowRight: ["frame", 1, frames.length],
       ArrowUp: ["view", -1, names.length], ArrowDown: ["view", 1, names.length] };
+    if (e.target.id.startsWith("turn")) return;
     if (e.key === " " && e.target.id !== "play") { e.preventDefault(); play(); }
     if (keys[e.key]) { e.preventDefault(); step(...keys[e.key]); }
   });
@@ -68,4 +70,27 @@ function start() {
   show();
 }
 
+// A circle around what moves in one frame.
+function turntable() {
+  const data = at("turntable-data");
+  const { frame, pictures } = data ? JSON.parse(data.textContent) : { pictures: [] };
+  if (!pictures.length) return;
+  let timer = null;
+  const turn = (to) => {
+    at("turn-at").value = to;
+    at("turn-image").src = pictures[to];
+    at("turn-name").textContent = `frame ${frame}, ${Math.round((360 * to) / pictures.length)}°`;
+  };
+  at("turn-at").max = pictures.length - 1;
+  at("turn-at").addEventListener("input", (e) => turn(Number(e.target.value)));
+  at("turn").addEventListener("click", () => {
+    if (timer) clearInterval(timer);
+    timer = timer ? null : setInterval(() => turn((Number(at("turn-at").value) + 1) % pictures.length), TURN_MILLISECONDS);
+    at("turn").textContent = timer ? "❚❚ Pause" : "▶ Turn";
+  });
+  at("turntable").hidden = false;
+  turn(0);
+}
+
+turntable();
 if (frames.length) start(); else at("viewer").hidden = true;

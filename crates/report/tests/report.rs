@@ -2,8 +2,8 @@
 
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
 use ffgs_report::{
-    FramePictures, FrameReport, ReportInput, Thumbnails, ViewReport, motion_picture, uncertainty_picture,
-    write_report,
+    FramePictures, FrameReport, ReportInput, Thumbnails, Turntable, ViewReport, motion_picture,
+    uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
 use std::fs;
@@ -59,6 +59,21 @@ fn the_page_stands_alone_and_its_data_parse() {
         assert!(image.starts_with("data:image/jpeg;base64,"));
     }
     assert!(!html.contains(&*folder.path().to_string_lossy()), "no path of this machine");
+}
+
+#[test]
+fn a_circle_is_embedded_where_there_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, turntable) = (folder.path().join("report.html"), folder.path().join("turntable.json"));
+    let picture = Thumbnails::of_bytes(2000).encode(&filled([10, 200, 30])).unwrap();
+    let circle = Turntable { frame: 7, pictures: vec![picture; 24] };
+    fs::write(&turntable, serde_json::to_vec(&circle).unwrap()).unwrap();
+    let input = ReportInput { turntable: Some(turntable), ..run(folder.path()) };
+    write_report(&path, &input).unwrap();
+    let html = fs::read_to_string(&path).unwrap();
+    let data = json(&html, "id=\"turntable-data\">", "</script>");
+    assert_eq!((data["frame"].as_u64(), data["pictures"].as_array().unwrap().len()), (Some(7), 24));
+    assert!(html.contains("<code>ffgs view .</code>"));
 }
 
 /// A run folder may come from someone else: what its files of pictures hold must stay data.
