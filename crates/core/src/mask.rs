@@ -59,6 +59,13 @@ impl Mask {
         }
         Self { size: self.size, data }
     }
+
+    /// Without the parts that no square of `2 radius + 1` pixels fits into (morphological opening).
+    #[must_use]
+    pub fn opened(&self, radius: usize) -> Self {
+        let inverse = |mask: &Self| Self { size: mask.size, data: mask.data.iter().map(|v| 1 - v).collect() };
+        inverse(&inverse(self).dilated(radius)).dilated(radius)
+    }
 }
 
 /// Marks every position within `radius` of a set one, in linear time.
@@ -91,5 +98,26 @@ mod tests {
             }
         }
         assert_eq!(mask.count(), 4 + 9);
+    }
+
+    #[test]
+    fn opening_removes_what_is_narrow_and_keeps_the_rest() {
+        let size = ImageSize { width: 12, height: 9 };
+        // A square of 5 pixels, a line beside it, a dot.
+        let set = |p: usize| {
+            let (x, y) = (p % 12, p / 12);
+            u8::from((1..6).contains(&x) && (2..7).contains(&y) || y == 4 && x < 10 || (x, y) == (11, 0))
+        };
+        let mask = Mask::new(size, (0..size.pixels()).map(set).collect()).unwrap();
+        let opened = mask.opened(1);
+        assert_eq!(opened.count(), 25);
+        assert!(
+            opened.contains(1, 2)
+                && opened.contains(5, 6)
+                && !opened.contains(8, 4)
+                && !opened.contains(11, 0)
+        );
+        assert_eq!(mask.opened(0), mask);
+        assert_eq!(mask.opened(3).count(), 0);
     }
 }

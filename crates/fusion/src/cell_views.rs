@@ -74,7 +74,7 @@ const DAMPING: f64 = 0.01;
 pub(crate) struct Departing {
     views: Vec<View>,
     /// The departure on which the views agree best (m).
-    offset: DVec3,
+    pub offset: DVec3,
     /// How far the group's motion takes the cell (m).
     step: DVec3,
     /// Variance per axis of the views about it (px^2).

@@ -4,6 +4,7 @@
 
 use crate::cell_views::{Departing, ViewObservations};
 use crate::groups::Groups;
+use crate::photographs::Photographs;
 use crate::process_noise::median;
 use crate::symmetric::Symmetric;
 use glam::DVec3;
@@ -51,6 +52,7 @@ impl Flexibility {
         previous: &[DVec3],
         observed: &ViewObservations,
         groups: &Groups,
+        photographs: &mut dyn Photographs,
         remembered: Option<&[f64]>,
     ) -> Self {
         let mut out = Self::none(previous.len());
@@ -60,10 +62,16 @@ impl Flexibility {
             Departing::new(observed, previous, members, motion)
         };
         let departing: Vec<Option<Departing>> = groups.cells.leaves.par_iter().map(departing).collect();
+        let offsets: Vec<Option<DVec3>> = departing.iter().map(|d| Some(d.as_ref()?.offset)).collect();
+        let shown = photographs.departures(groups, &offsets);
         for group in 0..groups.found.len() {
-            let cells: Vec<Cell> = (groups.cells.leaves.iter().zip(&departing))
-                .map(|(range, departing)| (groups.cells.members(range), departing.as_ref()))
-                .filter(|(members, _)| members.first().is_some_and(|&i| groups.of[i] == Some(group)))
+            let cells: Vec<Cell> = (groups.cells.leaves.iter().zip(&departing).zip(&shown))
+                .map(|((range, departing), &shown)| Cell {
+                    members: groups.cells.members(range),
+                    departing: departing.as_ref(),
+                    shown,
+                })
+                .filter(|cell| cell.members.first().is_some_and(|&i| groups.of[i] == Some(group)))
                 .collect();
             out.judge(&cells, remembered);
         }
@@ -71,14 +79,16 @@ impl Flexibility {
     }
 
     fn judge(&mut self, cells: &[Cell], remembered: Option<&[f64]>) {
-        let mut variances: Vec<f64> = cells.iter().filter_map(|c| Some(c.1?.variance)).collect();
+        let mut variances: Vec<f64> = cells.iter().filter_map(|c| Some(c.departing?.variance)).collect();
         let variance = median(&mut variances).unwrap_or(0.0).max(LEAST_NOISE * LEAST_NOISE);
-        let own = |c: &Cell| c.1.map_or(0.0, |d| d.evidence(variance).clamp(-MOST, MOST));
+        let own = |c: &Cell| c.departing.map_or(0.0, |d| d.evidence(variance).clamp(-MOST, MOST) + c.shown);
         let own: Vec<f64> = cells.iter().map(own).collect();
-        let all: Vec<Option<f64>> = cells.iter().map(|c| accumulated(c, variance, remembered)).collect();
+        let doubt = doubt(cells, variance);
+        let all: Vec<Option<f64>> =
+            cells.iter().map(|c| accumulated(c, variance, doubt, remembered)).collect();
         let (odds, flexible) = (odds_of_departing(&own), odds_of_group(&all));
         self.of_groups.push(flexible);
-        for (k, (members, departing)) in cells.iter().enumerate() {
+        for (k, Cell { members, departing, .. }) in cells.iter().enumerate() {
             for &i in *members {
                 self.evidence[i] = all[k].unwrap_or(0.0);
                 self.probability[i] = probability(flexible.exp()) * probability(odds * own[k].exp());
@@ -88,8 +98,14 @@ impl Flexibility {
     }
 }
 
-/// Members of a cell and their departure.
-type Cell<'a> = (&'a [usize], Option<&'a Departing>);
+/// A cell of a group.
+struct Cell<'a> {
+    members: &'a [usize],
+    /// What the trackers say of its departure.
+    departing: Option<&'a Departing>,
+    /// What the photographs say of that, as logarithm of the odds.
+    shown: f64,
+}
 
 fn probability(odds: f64) -> f64 {
     odds / (1.0 + odds)
@@ -106,10 +122,19 @@ fn odds_of_departing(evidence: &[f64]) -> f64 {
     odds
 }
 
+/// Where trackers see cells depart and the photographs together do not, trackers have failed: evidence (at most 0) of each
+/// patch of the group.
+fn doubt(cells: &[Cell], variance: f64) -> f64 {
+    let departs = |cell: &&Cell| cell.departing.is_some_and(|d| d.evidence(variance) > 0.0);
+    cells.iter().filter(departs).map(|cell| cell.shown).sum::<f64>().min(0.0) / PATCHES
+}
+
 /// What this and earlier frames say of a cell, if they say anything.
-fn accumulated((members, departing): &Cell, variance: f64, remembered: Option<&[f64]>) -> Option<f64> {
-    let mean = |e: &[f64]| MEMORY * members.iter().map(|&i| e[i]).sum::<f64>() / members.len() as f64;
-    let (before, new) = (remembered.map(mean), departing.map(|d| d.cautious_evidence(variance)));
+fn accumulated(cell: &Cell, variance: f64, doubt: f64, remembered: Option<&[f64]>) -> Option<f64> {
+    let mean =
+        |e: &[f64]| MEMORY * cell.members.iter().map(|&i| e[i]).sum::<f64>() / cell.members.len() as f64;
+    let new = cell.departing.map(|d| (d.cautious_evidence(variance) + doubt).clamp(-MOST, MOST));
+    let before = remembered.map(mean);
     (before.is_some() || new.is_some())
         .then(|| (before.unwrap_or(0.0) + new.unwrap_or(0.0)).clamp(-MOST, MOST))
 }

@@ -1,8 +1,9 @@
 use crate::config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use crate::error::FusionError;
 use crate::evidence::{Evidence, robust_weight};
-use crate::groups::{Group, Groups};
+use crate::groups::Group;
 use crate::input::FusionInput;
+use crate::photographs::Photographs;
 use crate::prior::Prior;
 use crate::process_noise::{median_displacement, per_group};
 use crate::structure::{Structured, structured};
@@ -47,18 +48,17 @@ impl InformationFuser {
     /// # Errors
     /// [`FusionError`] when a column has the wrong length or an option lacks its input.
     pub fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
-        self.fuse_refined(input, &mut |_| ())
+        self.fuse_with(input, &mut ())
     }
 
-    /// As [`fuse`](Self::fuse); `refine` may improve the motions of the rigid groups by what it knows beside the
-    /// estimates, before their members follow them.
+    /// As [`fuse`](Self::fuse), with what `photographs` tell of the rigid groups before their members follow them.
     ///
     /// # Errors
     /// As [`fuse`](Self::fuse).
-    pub fn fuse_refined(
+    pub fn fuse_with(
         &self,
         input: &FusionInput,
-        refine: &mut dyn FnMut(&mut Groups),
+        photographs: &mut dyn Photographs,
     ) -> Result<Fused, FusionError> {
         check(input)?;
         let predicted = predict(input, &self.config)?;
@@ -70,7 +70,7 @@ impl InformationFuser {
         let q_of = process_noise(input, &predicted, &self.config, q)?;
         let structure = match self.config.structure {
             Structure::None => None,
-            _ => structured(input, &evidence, &self.config, refine)?,
+            _ => structured(input, &evidence, &self.config, photographs)?,
         };
         let states: Vec<State> = (0..predicted.len())
             .into_par_iter()

@@ -20,7 +20,7 @@ impl RigidMotion {
 }
 
 /// Weighted least-squares rigid motion from `from` to `to` (Kabsch, by Horn's quaternion); `None` without weight.
-pub(crate) fn fit_rigid(from: &[DVec3], to: &[DVec3], weights: &[f64]) -> Option<RigidMotion> {
+pub fn fit_rigid(from: &[DVec3], to: &[DVec3], weights: &[f64]) -> Option<RigidMotion> {
     let total: f64 = weights.iter().sum();
     let has_weight = total > 0.0 && total.is_finite();
     if !has_weight {

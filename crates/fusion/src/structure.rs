@@ -8,6 +8,7 @@ use crate::flexibility::Flexibility;
 use crate::groups::{Groups, discover};
 use crate::input::FusionInput;
 use crate::neighbourhoods::local_rigid_motion;
+use crate::photographs::Photographs;
 use crate::prior::Prior;
 use crate::process_noise::median;
 use crate::symmetric::Symmetric;
@@ -48,20 +49,20 @@ pub(crate) fn structured(
     input: &FusionInput,
     evidence: &Evidence,
     config: &FusionConfig,
-    refine: &mut dyn FnMut(&mut Groups),
+    photographs: &mut dyn Photographs,
 ) -> Result<Option<Structured>, FusionError> {
     let previous = input.prior_means;
     let mut groups = match config.structure {
         Structure::RigidGroups => discover(previous, evidence, &config.groups),
         _ => Groups { of: vec![None; previous.len()], ..Groups::default() },
     };
+    photographs.align(&mut groups);
     let flexibility = match &input.observed {
-        Some(observed) => Flexibility::new(previous, observed, &groups, input.flexibility),
+        Some(observed) => Flexibility::new(previous, observed, &groups, photographs, input.flexibility),
         None => Flexibility::none(previous.len()),
     };
     let odds = flexibility.of_groups.iter();
     groups.found.iter_mut().zip(odds).for_each(|(group, odds)| group.flexibility = *odds);
-    refine(&mut groups);
     let scales: Vec<Vec<f64>> = groups.found.iter().map(|g| g.scales.clone()).collect();
     let by_group = |i: usize| {
         let g = groups.of[i]?;

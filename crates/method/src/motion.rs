@@ -27,6 +27,11 @@ pub trait MotionMethod: Send {
     /// When the input as a whole cannot be used. A Gaussian or view that fails is counted in `log`.
     fn predict(&mut self, step: &Step, scene: &mut Scene, log: &mut StageLog) -> Result<()>;
 
+    /// Whether, before the lanes of the trainer begin, moving Gaussians are to be born where the masks are not explained.
+    fn births(&self) -> bool {
+        false
+    }
+
     /// Fits the scene to the photographs of t, with own losses and an own schedule. By default the method leaves that to
     /// the lanes of the trainer.
     ///

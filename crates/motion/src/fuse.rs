@@ -5,7 +5,7 @@ use crate::turn::turn;
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog};
 use ffgs_fusion::{
-    Fused, FusionInput, Groups, InformationFuser, ProcessNoise, ViewObservations, spatial_objects,
+    Fused, FusionInput, InformationFuser, Photographs, ProcessNoise, ViewObservations, spatial_objects,
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -48,13 +48,13 @@ impl<'a> PixelScale<'a> {
     }
 }
 
-/// Lines 25 to 34: the posterior of the layer. `refine` may improve the motions of the rigid groups.
+/// Lines 25 to 34: the posterior of the layer.
 pub(crate) fn fuse(
     input: &MotionInput,
     observations: &[Observations],
     estimates: &[Estimates],
     dynamic: &Dynamic,
-    refine: &mut dyn FnMut(&mut Groups),
+    photographs: &mut dyn Photographs,
     log: &mut StageLog,
 ) -> Result<Fused> {
     let start = Instant::now();
@@ -77,7 +77,7 @@ pub(crate) fn fuse(
         observed: Some(ViewObservations { cameras: &cameras, observations }),
         flexibility: dynamic.known_flexibility(),
     };
-    let fused = fuser.fuse_refined(&fusion, refine)?;
+    let fused = fuser.fuse_with(&fusion, photographs)?;
     log.since("fusion", start);
     Ok(fused)
 }

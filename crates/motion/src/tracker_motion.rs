@@ -1,12 +1,10 @@
-use crate::alignment::align;
+use crate::alignment::Aligned;
 use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
-use ffgs_fusion::Groups;
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
-use std::time::{Duration, Instant};
 
 /// Moves the dynamic layer by what the trackers saw: by all of them fused, or by one alone.
 pub struct TrackerMotion<'a> {
@@ -43,6 +41,10 @@ impl MotionMethod for TrackerMotion<'_> {
         densify::densify(&input, dynamic, log);
         Ok(())
     }
+
+    fn births(&self) -> bool {
+        true
+    }
 }
 
 impl TrackerMotion<'_> {
@@ -72,19 +74,9 @@ pub fn move_by(
         log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
-    let (mut aligning, mut unaligned) = (Duration::ZERO, 0);
-    let refine = &mut |groups: &mut Groups| {
-        let start = Instant::now();
-        let (config, rotate) = (&input.config.alignment, input.config.association.rotate);
-        let aligned = align(config, rotate, input.step.now, &dynamic.gaussians, groups);
-        (aligning, unaligned) = (start.elapsed(), groups.found.len() - aligned);
-    };
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, refine, log)?;
-    if input.config.alignment.steps > 0 {
-        log.skip("rigid groups that the photographs could not align", unaligned);
-    }
-    log.add_seconds("alignment", aligning.as_secs_f64());
-    log.add_seconds("fusion", -aligning.as_secs_f64());
+    let mut photographs = Aligned::new(input, &dynamic.gaussians, dynamic.known_steps());
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut photographs, log)?;
+    photographs.log(log);
     fuse::apply(input, fused, dynamic, log);
     Ok(estimates)
 }
@@ -102,7 +94,7 @@ fn expected_places(
     // A rehearsal: what it skips is not counted, the time it takes is.
     let mut rehearsal = StageLog::default();
     let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut |_| (), &mut rehearsal)?;
+    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut (), &mut rehearsal)?;
     rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
     Ok(fused.means)
 }

@@ -1,14 +1,36 @@
 //! Whether a body counts as rigid: whatever the trackers claim, however precise they are, and with a memory.
 
 use ffgs_core::Estimates;
-use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, ViewObservations};
+use ffgs_fusion::{
+    Fused, FusionConfig, FusionInput, Groups, InformationFuser, Photographs, ViewObservations,
+};
 use ffgs_motion_eval::{Sample, Summary, summarise};
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::WeightedRays;
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 
 /// The fusion with the trackers' covariances times `claims`, after a frame that left `flexibility`.
 fn fuse(scene: &Simulation, claims: f64, flexibility: Option<&[f64]>) -> Fused {
+    fuse_with(scene, claims, flexibility, &mut ())
+}
+
+/// Photographs that tell the same of every cell: the logarithm of the odds that it departs.
+struct Tell(f64);
+
+impl Photographs for Tell {
+    fn align(&mut self, _: &mut Groups) {}
+
+    fn departures(&mut self, _: &Groups, offsets: &[Option<DVec3>]) -> Vec<f64> {
+        offsets.iter().map(|offset| offset.map_or(0.0, |_| self.0)).collect()
+    }
+}
+
+fn fuse_with(
+    scene: &Simulation,
+    claims: f64,
+    flexibility: Option<&[f64]>,
+    photographs: &mut dyn Photographs,
+) -> Fused {
     let estimate = |o| {
         let mut out = Estimates::default();
         WeightedRays::default().triangulate(&scene.previous, &scene.cameras, o, &mut out).unwrap();
@@ -27,7 +49,7 @@ fn fuse(scene: &Simulation, claims: f64, flexibility: Option<&[f64]>) -> Fused {
         observed: Some(ViewObservations { cameras: &scene.cameras, observations: &scene.observations }),
         flexibility,
     };
-    InformationFuser { config: FusionConfig::default() }.fuse(&input).unwrap()
+    InformationFuser { config: FusionConfig::default() }.fuse_with(&input, photographs).unwrap()
 }
 
 fn samples(scene: &Simulation, fused: &Fused, keep: impl Fn(usize) -> bool) -> Vec<Sample> {
@@ -145,4 +167,19 @@ fn what_was_rigid_stays_rigid_and_what_moves_its_limbs_is_seen_to_within_three_f
     }
     let convinced = fuse(&walker, 1.0, Some(&remembered));
     assert!(share_that_departs(&convinced) >= share_that_departs(&at_once));
+}
+
+/// Trackers that fail alike look like limbs; the photographs know better. That they agree makes nothing soft.
+#[test]
+fn photographs_take_the_trackers_word_back_but_do_not_soften_what_is_rigid() {
+    let largest = |scenario, told| {
+        let scene = simulate(&Recipe { scenario, ..Recipe::default() });
+        let groups = fuse_with(&scene, 1.0, None, &mut Tell(told)).groups;
+        groups.iter().max_by_key(|group| group.cells).unwrap().flexibility
+    };
+    let (walker, car) = (largest(Scenario::Walker, 0.0), largest(Scenario::Car, 0.0));
+    assert!(walker > 0.0 && car < 0.0);
+    assert!(largest(Scenario::Walker, -10.0) < 0.0);
+    assert!((largest(Scenario::Walker, 10.0) - walker).abs() < 1e-9);
+    assert!((largest(Scenario::Car, 10.0) - car).abs() < 1e-9);
 }

@@ -10,9 +10,15 @@
 //! The result is fused with the trackers' by their covariances. That of the photographs comes from how the views disagree:
 //! neighbouring pixels share their errors, views do not.
 
+mod aligned;
+mod continuation;
+mod departures;
 mod normal;
 mod photograph;
+mod starts;
 mod surface;
+
+pub(crate) use aligned::Aligned;
 
 use crate::Rotate;
 use crate::turn::turn;
@@ -52,13 +58,15 @@ const LEAST_PIXELS: usize = 32;
 /// Fewest views: how they disagree is the measure of the error.
 const LEAST_VIEWS: usize = 3;
 
-/// Refines the motions of the rigid groups of `layer`, which is where it was at t-1, by the `views` at t. Returns how many
-/// were refined: the others are seen by too few views, or show nothing that an alignment could use.
+/// Refines the motions of the rigid groups of `layer`, which is where it was at t-1, by the `views` at t. `last` has the
+/// motion of each group in the last frame, where it is known. Returns how many were refined: the others are seen by too few
+/// views, or show nothing that an alignment could use.
 pub(crate) fn align(
     config: &AlignmentConfig,
     rotate: Rotate,
     views: &[TrainingView],
     layer: &Gaussians,
+    last: &[Option<RigidMotion>],
     groups: &mut Groups,
 ) -> usize {
     if config.steps == 0 || groups.found.is_empty() {
@@ -71,7 +79,8 @@ pub(crate) fn align(
     let corrections: Vec<Option<Correction>> = (groups.found.par_iter().enumerate())
         .map(|(g, group)| {
             let patches = views.iter().zip(&seen).map(|(view, seen)| Patch { view, points: &seen[g] });
-            correction(config, group, &patches.filter(|p| p.points.len() >= LEAST_PIXELS).collect::<Vec<_>>())
+            let patches: Vec<Patch> = patches.filter(|p| p.points.len() >= LEAST_PIXELS).collect();
+            starts::best_correction(config, group, last[g].as_ref(), &patches)
         })
         .collect();
     let apply = |(group, correction): (&mut Group, Correction)| correction.apply(group);
@@ -117,27 +126,24 @@ impl Correction {
 }
 
 /// Gauss-Newton on the difference of layer and photographs; `None` where that does not get less.
-fn correction(config: &AlignmentConfig, group: &Group, patches: &[Patch]) -> Option<Correction> {
-    if patches.len() < LEAST_VIEWS {
-        return None;
-    }
-    let centre = group.motion.centre + group.motion.step;
-    let start = RigidMotion { centre, rotation: DQuat::IDENTITY, step: DVec3::ZERO };
-    let mut known = group.covariance;
-    (0..3).for_each(|i| known[(i, i)] += group.shared);
-    let known = known.cholesky()?.inverse() * config.trackers;
-    let pixel_m = patches.iter().map(|p| p.pixel_m(centre)).fold(f64::INFINITY, f64::min);
+fn correction(
+    config: &AlignmentConfig,
+    start: &starts::Start,
+    pixel_m: f64,
+    patches: &[Patch],
+) -> Option<Correction> {
+    let (centre, known) = (start.motion.centre, start.known);
     let shared = (config.shared_px * pixel_m).powi(2);
     let places = patches.iter().flat_map(|p| p.points);
     let radius = places.map(|point| point.place.distance(centre)).fold(0.0, f64::max);
-    let first = Joint::new(patches, &start)?;
-    let (mut motion, mut joint, mut covariance) = (start, first.clone(), None);
+    let first = Joint::new(patches, &start.motion)?;
+    let (mut motion, mut joint, mut covariance) = (start.motion, first.clone(), None);
     for _ in 0..config.steps {
         let (step, mut of_pictures) = joint.solve()?;
         (0..3).for_each(|i| of_pictures[(i, i)] += shared);
         let pictures = of_pictures.cholesky()?.inverse();
         let fused = (pictures + known).cholesky()?;
-        let change = fused.solve(&(pictures * step - known * offset(&motion)));
+        let change = fused.solve(&(pictures * step - known * (offset(&motion) - offset(&start.motion))));
         covariance = Some(fused.inverse());
         motion = moved(motion, &change);
         joint = Joint::new(patches, &motion)?;

@@ -14,6 +14,10 @@ pub(crate) struct SurfacePoint {
     pub place: DVec3,
     /// Its rendered brightness, 0..1.
     pub value: f64,
+    /// The pixel.
+    pub pixel: usize,
+    /// The Gaussian that shows most there.
+    pub gaussian: usize,
 }
 
 /// Contributions of a pixel that tell its depth and group.
@@ -39,8 +43,9 @@ pub(crate) fn surface_points(
     let depths = Depths { camera: &view.camera, layer, groups, top };
     let mut out: Vec<Vec<SurfacePoint>> = groups.found.iter().map(|_| Vec::new()).collect();
     for pixel in (0..view.mask.data().len()).filter(|&p| view.mask.data()[p] != 0) {
-        if let Some((group, place)) = depths.surface(pixel) {
-            out[group].push(SurfacePoint { place, value: brightness(tape.image().pixel(pixel)) });
+        if let Some((gaussian, group, place)) = depths.surface(pixel) {
+            let value = brightness(tape.image().pixel(pixel));
+            out[group].push(SurfacePoint { place, value, pixel, gaussian });
         }
     }
     out.into_iter().map(|points| thinned(points, most)).collect()
@@ -64,8 +69,8 @@ struct Depths<'a> {
 }
 
 impl Depths<'_> {
-    /// The group that a pixel shows, and the point (m) at the mean depth of its Gaussians there.
-    fn surface(&self, pixel: usize) -> Option<(usize, DVec3)> {
+    /// The Gaussian that a pixel shows most of, its group, and the point (m) at the mean depth of the group there.
+    fn surface(&self, pixel: usize) -> Option<(usize, usize, DVec3)> {
         let range = pixel * self.top.count..(pixel + 1) * self.top.count;
         let (indices, weights) = (&self.top.indices[range.clone()], &self.top.weights[range]);
         let heaviest = usize::try_from(*indices.first()?).ok()?;
@@ -81,7 +86,7 @@ impl Depths<'_> {
         }
         // Light that comes from behind the layer belongs to no group.
         (own >= LEAST_SHARE * all.max(LEAST_SHARE))
-            .then(|| (group, self.point(pixel, depth / f64::from(own))))
+            .then(|| (heaviest, group, self.point(pixel, depth / f64::from(own))))
     }
 
     /// The point at a depth (m) behind the centre of a pixel.

@@ -88,7 +88,8 @@ fn errors(group: &Group) -> [f64; 2] {
 
 fn aligned(views: &[TrainingView]) -> (usize, Group) {
     let mut groups = one_group(tracked(), 900);
-    let count = align(&AlignmentConfig::default(), Rotate::SplatAndColour, views, &ball(), &mut groups);
+    let config = AlignmentConfig::default();
+    let count = align(&config, Rotate::SplatAndColour, views, &ball(), &[None], &mut groups);
     (count, groups.found.remove(0))
 }
 
@@ -138,7 +139,60 @@ fn where_photographs_tell_nothing_the_trackers_motion_stays() {
     assert!(unchanged(&views.iter().map(hidden).collect::<Vec<_>>()), "empty masks");
     let mut off = one_group(tracked(), 900);
     let config = AlignmentConfig { steps: 0, ..AlignmentConfig::default() };
-    assert_eq!(align(&config, Rotate::Splat, &views, &ball(), &mut off), 0);
+    assert_eq!(align(&config, Rotate::Splat, &views, &ball(), &[None], &mut off), 0);
+}
+
+#[test]
+fn of_two_starts_the_photographs_take_the_better_one() {
+    let views = photographs(8, &truth(), 0.0);
+    let off = |by: f64| RigidMotion { step: truth().step + DVec3::new(by, -by, 0.0), ..truth() };
+    let error = |tracked: RigidMotion, last: Option<RigidMotion>| {
+        let mut groups = one_group(tracked, 900);
+        align(&AlignmentConfig::default(), Rotate::SplatAndColour, &views, &ball(), &[last], &mut groups);
+        errors(&groups.found[0])[0]
+    };
+    let far = 10.0 * PIXEL_M;
+    assert!(error(off(far), None) > 3.0 * PIXEL_M, "beyond the reach of the steps");
+    assert!(error(off(far), Some(off(0.02))) < 0.1 * PIXEL_M);
+    assert!(error(tracked(), Some(off(far))) < 0.1 * PIXEL_M, "the trackers are right");
+}
+
+#[test]
+fn a_motion_goes_on_about_the_moved_centre() {
+    let places = ball().positions();
+    let motion = truth();
+    let now: Vec<DVec3> = places.iter().map(|&p| motion.apply(p)).collect();
+    let mut steps: Vec<DVec3> = now.iter().zip(&places).map(|(a, b)| *a - *b).collect();
+    // Some members went elsewhere, and of one nothing is known.
+    steps.iter_mut().step_by(5).for_each(|step| *step = DVec3::new(0.0, 3.0, 0.0));
+    steps[1] = DVec3::NAN;
+    let groups = one_group(motion, 900);
+    let next = continuation::continued(&groups, &now, &steps)[0].unwrap();
+    let error = now.iter().map(|&p| next.apply(p).distance(motion.apply(p))).fold(0.0, f64::max);
+    // The same screw once more: the step turns with the body.
+    assert!(error < 1e-3, "{error}");
+    assert!(continuation::continued(&one_group(motion, 9), &now[..9], &steps[..9])[0].is_none(), "too few");
+}
+
+#[test]
+fn photographs_tell_whether_a_part_departs() {
+    let still = RigidMotion { centre: DVec3::ZERO, rotation: DQuat::IDENTITY, step: DVec3::ZERO };
+    let (before, now) = (photographs(8, &still, 0.0), photographs(8, &truth(), 0.0));
+    let views: Vec<(&TrainingView, &TrainingView)> = before.iter().zip(&now).collect();
+    let claim = DVec3::new(0.1, 0.15, 0.0);
+    // The upper half of the ball is one cell, the lower half another.
+    let odds = |motion: RigidMotion, offsets: [Option<DVec3>; 2]| {
+        let mut groups = one_group(motion, 900);
+        groups.cells.order = (0..900).collect();
+        groups.cells.leaves = vec![0..450, 450..900];
+        let seen: Vec<_> = before.iter().map(|view| surface_points(view, &ball(), &groups, 4096)).collect();
+        departures::departures(&views, &seen, &groups, &offsets)
+    };
+    let [claimed, silent] = odds(truth(), [Some(claim), None]).try_into().unwrap();
+    assert!(claimed < -20.0 && silent == 0.0, "{claimed} {silent}");
+    let wrong = RigidMotion { step: truth().step - claim, ..truth() };
+    let [right, silent] = odds(wrong, [Some(claim), None]).try_into().unwrap();
+    assert!(right > 20.0 && silent == 0.0, "{right} {silent}");
 }
 
 #[test]
