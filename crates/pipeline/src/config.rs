@@ -6,7 +6,9 @@ use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
-use ffgs_trainer::{BackgroundConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, StaticMethod};
+use ffgs_trainer::{
+    BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, StaticMethod,
+};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
 use serde::{Deserialize, Serialize};
@@ -41,6 +43,8 @@ pub struct Config {
     pub alignment: AlignmentConfig,
     /// Growth by uncertainty.
     pub densification: DensifyConfig,
+    /// Moving Gaussians where masks are not explained.
+    pub birth: BirthConfig,
     /// Finetuning of the dynamic layer.
     pub dynamic: DynamicLaneConfig,
     /// Finetuning of the static layer and the sky.
@@ -65,6 +69,7 @@ impl Default for Config {
             fusion: FusionConfig::default(),
             alignment: AlignmentConfig::default(),
             densification: DensifyConfig::default(),
+            birth: BirthConfig::default(),
             dynamic: DynamicLaneConfig::default(),
             background: BackgroundConfig::default(),
             disocclusion: DisocclusionConfig::default(),
@@ -102,6 +107,7 @@ impl Config {
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {
+            birth: BirthConfig { iterations: 0, ..defaults.birth },
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
             dynamic: DynamicLaneConfig {
                 loss_dilation: 0,
@@ -170,10 +176,11 @@ mod tests {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(&literal).motion(), literal);
         let ours = Config::literal().with_motion(&MotionConfig::default());
-        let Config { dynamic, background, disocclusion, .. } = ours;
-        assert_eq!((disocclusion.iterations, dynamic.prior_weight, dynamic.loss_dilation), (0, 0.0, 0));
+        let Config { birth, dynamic, background, disocclusion, .. } = ours;
+        assert_eq!((birth.iterations, disocclusion.iterations, dynamic.loss_dilation), (0, 0, 0));
+        assert_eq!(dynamic.prior_weight, 0.0);
         assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));
-        assert_eq!(ours, Config { dynamic, background, disocclusion, ..Config::default() });
+        assert_eq!(ours, Config { birth, dynamic, background, disocclusion, ..Config::default() });
     }
 
     #[test]

@@ -6,9 +6,9 @@ use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
-    BackgroundConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
-    FirstFrame, FirstFrameConfig, Progress, StaticLane, StaticTargets, Surroundings, train_disoccluded,
-    train_dynamic, train_first_frame, train_sky,
+    BackgroundConfig, BirthConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig,
+    DynamicLaneConfig, FirstFrame, FirstFrameConfig, Newborn, Progress, StaticLane, StaticTargets,
+    Surroundings, train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
@@ -108,6 +108,21 @@ impl<'a> Devices<'a> {
         Ok(match self.gpu(1) {
             None => train_disoccluded(&CpuBackend, config, what, layer, seed, report)?,
             Some(gpu) => train_disoccluded(&GpuBackend(gpu), config, what, layer, seed, report)?,
+        })
+    }
+
+    /// Moving Gaussians that join the layer; `None` when too few pixels show them.
+    pub(crate) fn newborn(
+        self,
+        config: &BirthConfig,
+        newborn: Newborn,
+        scene: &Scene,
+        seed: u64,
+        report: Report,
+    ) -> Result<Option<Gaussians>> {
+        Ok(match self.gpu(0) {
+            None => train_newborn(&CpuBackend, config, newborn, scene, seed, report)?,
+            Some(gpu) => train_newborn(&GpuBackend(gpu), config, newborn, scene, seed, report)?,
         })
     }
 

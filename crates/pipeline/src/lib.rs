@@ -2,6 +2,7 @@
 
 pub mod args;
 mod bake;
+mod birth;
 mod cameras;
 mod check;
 pub mod choice;

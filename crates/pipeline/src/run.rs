@@ -1,5 +1,6 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
+use crate::birth;
 use crate::check::check_capture;
 use crate::choice::MethodChoice;
 use crate::config::Config;
@@ -344,6 +345,9 @@ impl<'a> Job<'a> {
         record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, [sums, tests].concat())?);
         record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.devices())?;
         let measuring = measuring.elapsed().as_secs_f64();
+        if method.births() {
+            self.bear(frame, &mut scene, &now, console, log)?;
+        }
         let predicted = Predicted::new(&scene, &self.config().dynamic);
         let known = predicted.as_ref().map(Predicted::prior);
         match method
@@ -362,6 +366,26 @@ impl<'a> Job<'a> {
         log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
         let record = self.finish(frame, &scene, &truths, method, pictures, record)?;
         Ok((Last { scene, views: now }, record))
+    }
+
+    /// Moving Gaussians where the masks are not explained.
+    fn bear(
+        &self,
+        frame: usize,
+        scene: &mut Scene,
+        views: &[TrainingView],
+        console: &Console,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let bar = console.lane("birth", self.config().birth.iterations);
+        let report = &mut |p| bar.show(p);
+        let born = birth::bear(self.devices(), self.config(), scene, views, self.seed(frame), report)?;
+        if born > 0 {
+            tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
+        }
+        log.since("birth", start);
+        Ok(())
     }
 
     /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.

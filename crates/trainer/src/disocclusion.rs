@@ -6,13 +6,12 @@
 //! as it is: were its pixels left out, what stands beside it would grow into its place.
 
 use crate::adam::LearningRates;
-use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
-use crate::densify::{DensityConfig, DensityControl};
+use crate::backend::TrainBackend;
 use crate::dynamic_lane::robust_extent;
-use crate::schedule::{Epochs, Schedule, decay};
+use crate::part::{Part, shown, train_part};
+use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -83,13 +82,6 @@ pub struct Disoccluded<'a> {
     pub sky: &'a SkyCube,
 }
 
-/// Alpha from which a pixel shows what was hidden.
-const SHOWN: f32 = 0.02;
-/// Fewest such pixels of a view that counts.
-const LEAST_PIXELS: usize = 16;
-/// Share of the steps after which invisible Gaussians are used elsewhere.
-const REUSE_AT: f32 = 0.4;
-
 /// Trains some Gaussians of `layer`, the others stay as they are. Returns whether any view showed them: if not, nothing
 /// has changed.
 ///
@@ -108,45 +100,20 @@ pub fn train_disoccluded<B: TrainBackend>(
         return Ok(false);
     }
     let regions: Vec<Mask> = what.views.par_iter().map(|view| shown(view, &found)).collect();
-    let used: Vec<usize> = (0..regions.len()).filter(|&v| regions[v].count() >= LEAST_PIXELS).collect();
-    if used.is_empty() {
-        return Ok(false);
-    }
     // Everything is drawn, as it will be; what stays comes first.
-    let mut ordered = layer.select(&rest(layer.len(), what.gaussians));
-    ordered.extend(what.moving);
-    let fixed = ordered.len();
-    ordered.extend(&found);
-    let mut ordered = Arc::new(ordered);
-    let task = |&v: &usize| TaskView {
-        view: &what.views[v],
-        tiles: Some(TileMask::covering(&regions[v])),
-        region: Some(regions[v].clone()),
-    };
-    let task = LayerTask::new(&mut ordered, used.iter().map(task).collect(), Around::Sky(what.sky));
-    let mut training = backend.upload_layer(LayerTask { fixed, sums_gradients: true, ..task })?;
+    let mut fixed = layer.select(&rest(layer.len(), what.gaussians));
+    fixed.extend(what.moving);
     let extent = robust_extent(&found);
     let schedule = Schedule {
         iterations: config.iterations,
         rates: &|iteration| config.rates(iteration, extent),
         ..Schedule::default()
     };
-    let mut density = DensityControl::new(DensityConfig::default(), seed);
-    let reuse_at = (REUSE_AT * config.iterations as f32) as usize;
-    let mut reuse = |done, training: &mut B::Layer<'_>| {
-        if done != reuse_at {
-            return Ok(());
-        }
-        training.revise(&mut |gaussians, sums| {
-            density.reuse(gaussians, sums, fixed, extent);
-            Revision::default()
-        })
-    };
-    schedule.run(&mut training, &mut Epochs::new(used.len(), seed), &mut reuse, report)?;
-    training.download()?;
+    let part = Part { fixed, trained: found, views: what.views, regions, sky: what.sky };
+    let Some(trained) = train_part(backend, &schedule, part, seed, report)? else { return Ok(false) };
     let layer = Arc::make_mut(layer);
     for (from, &to) in what.gaussians.iter().enumerate() {
-        layer.set_from(to, &ordered, fixed + from);
+        layer.set_from(to, &trained, from);
     }
     Ok(true)
 }
@@ -158,22 +125,12 @@ fn rest(count: usize, found: &[usize]) -> Vec<usize> {
     (0..count).filter(|&i| !is_found[i]).collect()
 }
 
-/// The pixels that show any of `gaussians`, if nothing stood before them.
-fn shown(view: &TrainingView, gaussians: &Gaussians) -> Mask {
-    let size = view.camera.size();
-    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-    let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None })
-        .render(gaussians, &frame, &mut tape);
-    let shown = tape.transmittance().iter().map(|t| u8::from(1.0 - t > SHOWN));
-    Mask::new(size, shown.collect()).expect("one value per pixel")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{CpuBackend, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
+    use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
     use glam::DMat4;
 
     const SIZE: ImageSize = ImageSize { width: 64, height: 48 };

@@ -5,6 +5,7 @@
 mod adam;
 mod backend;
 mod background;
+mod birth;
 pub mod constants;
 mod cpu;
 mod densify;
@@ -15,6 +16,7 @@ mod gain;
 mod initialise;
 mod layer_lane;
 mod loss;
+mod part;
 mod prior;
 mod schedule;
 mod simd;
@@ -29,6 +31,7 @@ pub use backend::{
     Training,
 };
 pub use background::{BackgroundConfig, StaticMethod};
+pub use birth::{BirthConfig, Newborn, train_newborn, unexplained};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
 pub use densify::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal};
 pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};

@@ -1,0 +1,218 @@
+//! Moving Gaussians where masks are not explained: what enters after frame 0, or was lost (docs/adr/0049-birth.md).
+
+use crate::config::Config;
+use crate::devices::Devices;
+use anyhow::Result;
+use ffgs_core::{Gaussians, Mask, Scene, TrainingView, sigmoid};
+use ffgs_fusion::{Seed, SeedView, seeds};
+use ffgs_motion::join;
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
+use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, from_points, unexplained};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Fewest seeds that are worth a training.
+const LEAST_SEEDS: usize = 8;
+/// Share of the views that lacked an explanation at a newborn's place in which it has one now.
+const EXPLAINS: f64 = 0.5;
+
+/// Adds moving Gaussians where the masks of `views` are not explained; returns how many.
+pub(crate) fn bear(
+    devices: Devices,
+    config: &Config,
+    scene: &mut Scene,
+    views: &[TrainingView],
+    seed: u64,
+    report: &mut dyn FnMut(Progress),
+) -> Result<usize> {
+    let room = config.densification.max_dynamic.saturating_sub(scene.dynamic.gaussians.len());
+    let most = config.birth.most.min(room);
+    if config.birth.iterations == 0 || most == 0 {
+        return Ok(0);
+    }
+    let open = all_unexplained(&scene.dynamic.gaussians, views);
+    let found = find_seeds(config, scene, views, &open, most);
+    if found.len() < LEAST_SEEDS {
+        return Ok(0);
+    }
+    let newborn = Newborn { gaussians: of_seeds(&found, scene), views, unexplained: &open };
+    let Some(born) = devices.newborn(&config.birth, newborn, scene, seed, report)? else { return Ok(0) };
+    let mut together = scene.dynamic.gaussians.clone();
+    together.extend(&born);
+    let still_open = all_unexplained(&together, views);
+    let kept = explaining(&born, config.densification.min_opacity, views, (&open, &still_open));
+    join(&mut scene.dynamic, &born.select(&kept), views);
+    Ok(kept.len())
+}
+
+fn all_unexplained(layer: &Gaussians, views: &[TrainingView]) -> Vec<Mask> {
+    views.par_iter().map(|view| unexplained(layer, view)).collect()
+}
+
+/// Places for at most `most` Gaussians in `open`.
+fn find_seeds(
+    config: &Config,
+    scene: &Scene,
+    views: &[TrainingView],
+    open: &[Mask],
+    most: usize,
+) -> Vec<Seed> {
+    if open.iter().filter(|open| open.count() > 0).count() < 2 {
+        return Vec::new();
+    }
+    // As in marking, a view without any foreground has no say.
+    let with_say = views.par_iter().zip(open).filter(|(view, _)| view.mask.count() > 0);
+    let views: Vec<SeedView> = with_say
+        .map(|(view, open)| SeedView {
+            camera: &view.camera,
+            image: &view.image,
+            mask: view.mask.dilated(config.marking.dilation),
+            unexplained: open,
+            depth: depths(&scene.static_layer, view),
+        })
+        .collect();
+    seeds(&views, config.marking.slack(), most)
+}
+
+/// (H, W) depth (m) of the static Gaussian that each pixel shows most of; infinite where there is none.
+fn depths(layer: &Gaussians, view: &TrainingView) -> Vec<f32> {
+    let (tiles, background) = (TileMask::covering(&view.mask), Background::Colour([0.0; 3]));
+    let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
+    let options = RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None };
+    let top = CpuRasterizer::new(options).top_contributors(layer, &frame, 1, &mut RenderTape::default());
+    let depth = |&i: &i32| -> Option<f32> {
+        let place = Vec3::from(*layer.means.get(usize::try_from(i).ok()?)?);
+        Some(view.camera.project(place.as_dvec3())?.depth as f32)
+    };
+    top.indices.iter().map(|i| depth(i).unwrap_or(f32::INFINITY)).collect()
+}
+
+fn of_seeds(seeds: &[Seed], scene: &Scene) -> Gaussians {
+    let positions: Vec<[f32; 3]> = seeds.iter().map(|seed| seed.position.as_vec3().to_array()).collect();
+    let colours: Vec<[f32; 3]> = seeds.iter().map(|seed| seed.colour).collect();
+    from_points(&positions, &colours, scene.static_layer.sh_degree(), INITIAL_OPACITY)
+}
+
+/// Those that show something, and where they are seen, something that lacked an explanation (`before`) has one (`after`).
+fn explaining(
+    born: &Gaussians,
+    min_opacity: f32,
+    views: &[TrainingView],
+    (before, after): (&[Mask], &[Mask]),
+) -> Vec<usize> {
+    let explains = |place: DVec3| {
+        let (mut open, mut explained) = (0, 0);
+        for ((view, before), after) in views.iter().zip(before).zip(after) {
+            if let Some((x, y)) = view.camera.pixel_of(place).filter(|&(x, y)| before.contains(x, y)) {
+                open += 1;
+                explained += usize::from(!after.contains(x, y));
+            }
+        }
+        open > 0 && explained as f64 >= EXPLAINS * f64::from(open)
+    };
+    let positions = born.positions();
+    (0..born.len())
+        .filter(|&i| sigmoid(born.opacity_logits[i]) >= min_opacity && explains(positions[i]))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, PlanarImage, SkyCube};
+    use ffgs_testkit::look_at;
+    use std::sync::Arc;
+
+    const SIZE: ImageSize = ImageSize { width: 96, height: 72 };
+
+    /// Discs on a ball of 0.6 m around a place, coloured by waves over it.
+    fn ball(centre: Vec3) -> Gaussians {
+        let places: Vec<Vec3> = (0..1500)
+            .map(|i| {
+                let z = 1.0 - (2.0 * i as f32 + 1.0) / 1500.0;
+                let (sin, cos) = (2.399_963 * i as f32).sin_cos();
+                let ring = (1.0 - z * z).sqrt();
+                Vec3::new(ring * cos, ring * sin, z) * 0.6
+            })
+            .collect();
+        let colours: Vec<[f32; 3]> =
+            places.iter().map(|p| (*p * 7.0).to_array().map(|v| 0.5 + 0.4 * v.sin())).collect();
+        let positions: Vec<[f32; 3]> = places.iter().map(|p| (*p + centre).to_array()).collect();
+        from_points(&positions, &colours, 1, 0.95)
+    }
+
+    /// Six cameras over half a circle, and what they see of `moving`.
+    fn photographs(moving: &Gaussians) -> Vec<TrainingView> {
+        let view = |i: usize| {
+            let (sin, cos) = (i as f64 * 0.5).sin_cos();
+            let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
+            let intrinsics = Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
+            let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
+            let options = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
+            let shown = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
+            let mut tape = RenderTape::default();
+            CpuRasterizer::new(options).render(moving, &shown, &mut tape);
+            let image: &PlanarImage = tape.image();
+            let mask = tape.transmittance().iter().map(|&t| u8::from(t < 0.5)).collect();
+            TrainingView { camera, image: ImageRgb8::from(image), mask: Mask::new(SIZE, mask).unwrap() }
+        };
+        (0..6).map(view).collect()
+    }
+
+    fn scene(moving: &Gaussians) -> Scene {
+        let mut scene = Scene {
+            static_layer: Arc::new(Gaussians::zeros(0, 1)),
+            hidden: Vec::new(),
+            static_colours: Vec::new(),
+            dynamic: ffgs_core::Dynamic::default(),
+            sky: SkyCube::filled(8, [0.3; 3]),
+        };
+        scene.dynamic.gaussians = Gaussians::zeros(0, 1);
+        join(&mut scene.dynamic, moving, &photographs(moving));
+        scene
+    }
+
+    fn born(scene: &mut Scene, views: &[TrainingView]) -> usize {
+        bear(Devices(&[]), &Config::default(), scene, views, 1, &mut |_| {}).unwrap()
+    }
+
+    fn open_pixels(scene: &Scene, views: &[TrainingView]) -> usize {
+        all_unexplained(&scene.dynamic.gaussians, views).iter().map(Mask::count).sum()
+    }
+
+    #[test]
+    fn what_enters_is_born_where_it_is_and_once() {
+        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
+        let mut both = old.clone();
+        both.extend(&new);
+        let views = photographs(&both);
+        let mut scene = scene(&old);
+        let before = open_pixels(&scene, &views);
+        let count = born(&mut scene, &views);
+        assert!(before > 500 && count > 300, "{before} pixels, {count} born");
+        let after = open_pixels(&scene, &views);
+        assert!(after * 5 < before, "{before} unexplained pixels, then {after}");
+        let dynamic = &scene.dynamic;
+        assert_eq!(dynamic.gaussians.select(&(0..old.len()).collect::<Vec<_>>()), old, "the others stay");
+        assert_eq!([dynamic.ids.len(), dynamic.covariances.len(), dynamic.entitled], [old.len() + count; 3]);
+        let near = |p: &DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
+        let places = dynamic.gaussians.positions();
+        let right = places[old.len()..].iter().filter(|p| near(p)).count();
+        assert!(right * 10 > count * 8, "{right} of {count} are near the surface");
+        let again = born(&mut scene, &views);
+        assert!(again * 5 < count, "{again} more of what is there");
+    }
+
+    #[test]
+    fn nothing_is_born_where_all_is_explained_or_where_one_mask_alone_errs() {
+        let only = ball(Vec3::ZERO);
+        let mut views = photographs(&only);
+        let mut scene = scene(&only);
+        assert_eq!(born(&mut scene, &views), 0);
+        views[2].mask = Mask::filled(SIZE, true);
+        assert_eq!(born(&mut scene, &views), 0, "a mask that flickers");
+        let empty: Vec<TrainingView> =
+            views.iter().map(|v| TrainingView { mask: Mask::filled(SIZE, false), ..v.clone() }).collect();
+        assert_eq!(born(&mut scene, &empty), 0, "no foreground");
+    }
+}
