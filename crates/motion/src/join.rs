@@ -21,7 +21,7 @@ pub fn join(dynamic: &mut Dynamic, born: &Gaussians, views: &[TrainingView]) {
         dynamic.flexibility.resize(dynamic.gaussians.len() + born.len(), 0.0);
     }
     dynamic.gaussians.extend(born);
-    dynamic.entitled += born.len();
+    dynamic.growth_limit += born.len();
     dynamic.number_new();
 }
 
@@ -52,13 +52,13 @@ mod tests {
             covariances: vec![DMat3::IDENTITY; 2],
             steps: vec![DVec3::X, DVec3::Y],
             flexibility: vec![-3.0, 4.0],
-            entitled: 2,
+            growth_limit: 2,
             ..Dynamic::default()
         };
         dynamic.number_new();
         join(&mut dynamic, &at(&[[0.9, 0.1, 2.0]]), &[view()]);
         assert_eq!(dynamic.steps, [DVec3::X, DVec3::Y, DVec3::Y]);
-        assert_eq!((dynamic.flexibility, dynamic.entitled), (vec![-3.0, 4.0, 0.0], 3));
+        assert_eq!((dynamic.flexibility, dynamic.growth_limit), (vec![-3.0, 4.0, 0.0], 3));
         assert_eq!((dynamic.ids, dynamic.next_id), (vec![0, 1, 2], 3));
         // A pixel is 10 cm wide there.
         assert!((dynamic.covariances[2].x_axis.x - 1.0).abs() < 1e-9);

@@ -194,7 +194,10 @@ mod tests {
         assert!(after * 5 < before, "{before} unexplained pixels, then {after}");
         let dynamic = &scene.dynamic;
         assert_eq!(dynamic.gaussians.select(&(0..old.len()).collect::<Vec<_>>()), old, "the others stay");
-        assert_eq!([dynamic.ids.len(), dynamic.covariances.len(), dynamic.entitled], [old.len() + count; 3]);
+        assert_eq!(
+            [dynamic.ids.len(), dynamic.covariances.len(), dynamic.growth_limit],
+            [old.len() + count; 3]
+        );
         let near = |p: &DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
         let places = dynamic.gaussians.positions();
         let right = places[old.len()..].iter().filter(|p| near(p)).count();
