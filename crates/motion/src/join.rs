@@ -21,7 +21,8 @@ pub fn join(dynamic: &mut Dynamic, born: &Gaussians, views: &[TrainingView]) {
         dynamic.flexibility.resize(dynamic.gaussians.len() + born.len(), 0.0);
     }
     dynamic.gaussians.extend(born);
-    dynamic.growth_limit += born.len();
+    // They first make up for what is gone: a limit that rose with each birth would let flickering masks grow the layer for ever.
+    dynamic.growth_limit = dynamic.growth_limit.max(dynamic.gaussians.len());
     dynamic.number_new();
 }
 
