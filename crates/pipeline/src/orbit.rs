@@ -1,10 +1,11 @@
 //! Cameras that circle what moves.
 
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Camera, Gaussians};
+use ffgs_core::{Camera, Gaussians, Scene};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// Distance from the circled object, in median distances of its Gaussians from its middle, for a wide lens: near enough that little
 /// stands between.
@@ -36,6 +37,33 @@ pub fn orbit(capture: &dyn Capture, dynamic: &Gaussians, frame: usize, views: us
         .into_iter()
         .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
         .collect()
+}
+
+/// Static Gaussians nearer to a camera of the circle than this share of its radius are left out: where no camera of the capture stood,
+/// some float in the air, and one before the lens hides everything.
+const CLEAR: f64 = 0.4;
+
+/// The scene without what is right before the cameras of an orbit.
+#[must_use]
+pub fn clear_of(scene: &Scene, cameras: &[Camera]) -> Scene {
+    let centres: Vec<DVec3> = cameras.iter().map(Camera::center).collect();
+    let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let radius = centres.iter().map(|c| c.distance(middle)).fold(0.0, f64::max);
+    let layer = &scene.static_layer;
+    let is_clear = |i: usize| {
+        let place = DVec3::from(layer.means[i].map(f64::from));
+        let size = f64::from(layer.log_scales[i].iter().copied().fold(f32::MIN, f32::max).exp());
+        centres.iter().all(|centre| centre.distance(place) > CLEAR * radius + size)
+    };
+    let kept: Vec<usize> = (0..layer.len()).filter(|&i| is_clear(i)).collect();
+    // What is known of the others is of no use to a picture.
+    Scene {
+        static_layer: Arc::new(layer.select(&kept)),
+        hidden: Vec::new(),
+        static_colours: Vec::new(),
+        dynamic: scene.dynamic.clone(),
+        sky: scene.sky.clone(),
+    }
 }
 
 /// Median; 0 of nothing.
@@ -108,6 +136,29 @@ mod tests {
             assert!((1.5..=2.0).contains(&camera.center().z), "above, and no higher than the camera");
             assert!(camera.project(DVec3::Z).unwrap().pixel.y < 24.0);
         }
+    }
+
+    #[test]
+    fn what_floats_before_a_lens_is_left_out() {
+        let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 };
+        let size = ImageSize { width: 64, height: 48 };
+        let cameras: Vec<Camera> = circle(&[], DVec3::ZERO, 1.0, 8)
+            .into_iter()
+            .map(|pose| Camera::new(lens, pose, size).unwrap())
+            .collect();
+        let before_a_lens = cameras[3].center().as_vec3() * 0.9;
+        let mut layer = Gaussians::zeros(3, 0);
+        layer.means = vec![[0.0; 3], before_a_lens.to_array(), [0.5, 0.0, 0.0]];
+        layer.log_scales = vec![[-5.0; 3], [-5.0; 3], [1.0; 3]];
+        let scene = Scene {
+            static_layer: Arc::new(layer),
+            hidden: Vec::new(),
+            static_colours: Vec::new(),
+            dynamic: ffgs_core::Dynamic::default(),
+            sky: ffgs_core::SkyCube::filled(4, [0.5; 3]),
+        };
+        // The last one is as large as the circle.
+        assert_eq!(clear_of(&scene, &cameras).static_layer.means, [[0.0; 3]]);
     }
 
     #[test]

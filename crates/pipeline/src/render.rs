@@ -4,7 +4,7 @@ use crate::args::RenderArgs;
 use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
 use crate::folder::RunFolder;
-use crate::orbit::orbit;
+use crate::orbit::{clear_of, orbit};
 use crate::scoring::{render as render_scene, write_png};
 use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
@@ -24,16 +24,20 @@ const ORBIT_VIEWS: usize = 60;
 pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frame = run.choose(args.frame)?;
-    let scene = run.scene(frame)?;
+    let mut scene = run.scene(frame)?;
     let stem = format!("orbit_{frame:06}");
     let views = match (&args.camera, args.orbit) {
         (Some(name), false) => {
             vec![(format!("{name}_{frame:06}.png"), named_camera(&*run.capture, name, frame)?)]
         }
         (None, true) => {
-            let cameras =
-                orbit(&*run.capture, &scene.dynamic.gaussians, frame, ORBIT_VIEWS)?.into_iter().enumerate();
-            cameras.map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera)).collect()
+            let cameras = orbit(&*run.capture, &scene.dynamic.gaussians, frame, ORBIT_VIEWS)?;
+            scene = clear_of(&scene, &cameras);
+            cameras
+                .into_iter()
+                .enumerate()
+                .map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera))
+                .collect()
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
     };

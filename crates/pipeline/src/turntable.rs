@@ -3,7 +3,7 @@
 use crate::devices::Devices;
 use crate::folder::RunFolder;
 use crate::json::write_json;
-use crate::orbit::orbit;
+use crate::orbit::{clear_of, orbit};
 use anyhow::Result;
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Scene};
 use ffgs_method::Capture;
@@ -30,10 +30,11 @@ pub(crate) fn write_turntable(
         return Ok(());
     }
     let cameras = orbit(capture, &scene.dynamic.gaussians, frame, VIEWS)?;
+    let scene = clear_of(scene, &cameras);
     let thumbnails = Thumbnails::of_bytes(MOST_BYTES);
     let mut pictures = Vec::with_capacity(VIEWS);
     for camera in &cameras {
-        for picture in devices.render(scene, &[reduced(camera)?])? {
+        for picture in devices.render(&scene, &[reduced(camera)?])? {
             pictures.push(thumbnails.encode(&ImageRgb8::from(&picture))?);
         }
     }
