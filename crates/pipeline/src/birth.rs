@@ -17,7 +17,7 @@ const LEAST_SEEDS: usize = 8;
 const EXPLAINS: f64 = 0.5;
 
 /// Adds moving Gaussians where the masks of `views` are not explained; returns how many.
-pub(crate) fn bear(
+pub(crate) fn add_newborn(
     devices: Devices,
     config: &Config,
     scene: &mut Scene,
@@ -173,7 +173,7 @@ mod tests {
     }
 
     fn born(scene: &mut Scene, views: &[TrainingView]) -> usize {
-        bear(Devices(&[]), &Config::default(), scene, views, 1, &mut |_| {}).unwrap()
+        add_newborn(Devices(&[]), &Config::default(), scene, views, 1, &mut |_| {}).unwrap()
     }
 
     fn open_pixels(scene: &Scene, views: &[TrainingView]) -> usize {

@@ -346,7 +346,7 @@ impl<'a> Job<'a> {
         record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.devices())?;
         let measuring = measuring.elapsed().as_secs_f64();
         if method.births() {
-            self.bear(frame, &mut scene, &now, console, log)?;
+            self.add_newborn(frame, &mut scene, &now, console, log)?;
         }
         let predicted = Predicted::new(&scene, &self.config().dynamic);
         let known = predicted.as_ref().map(Predicted::prior);
@@ -369,7 +369,7 @@ impl<'a> Job<'a> {
     }
 
     /// Moving Gaussians where the masks are not explained.
-    fn bear(
+    fn add_newborn(
         &self,
         frame: usize,
         scene: &mut Scene,
@@ -380,7 +380,7 @@ impl<'a> Job<'a> {
         let start = Instant::now();
         let bar = console.lane("birth", self.config().birth.iterations);
         let report = &mut |p| bar.show(p);
-        let born = birth::bear(self.devices(), self.config(), scene, views, self.seed(frame), report)?;
+        let born = birth::add_newborn(self.devices(), self.config(), scene, views, self.seed(frame), report)?;
         if born > 0 {
             tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
         }

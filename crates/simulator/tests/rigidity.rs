@@ -15,9 +15,9 @@ fn fuse(scene: &Simulation, claims: f64, flexibility: Option<&[f64]>) -> Fused {
 }
 
 /// Photographs that tell the same of every cell: the logarithm of the odds that it departs.
-struct Tell(f64);
+struct SameOdds(f64);
 
-impl Photographs for Tell {
+impl Photographs for SameOdds {
     fn align(&mut self, _: &mut Groups) {}
 
     fn departures(&mut self, _: &Groups, offsets: &[Option<DVec3>]) -> Vec<f64> {
@@ -169,12 +169,13 @@ fn what_was_rigid_stays_rigid_and_what_moves_its_limbs_is_seen_to_within_three_f
     assert!(share_that_departs(&convinced) >= share_that_departs(&at_once));
 }
 
-/// Trackers that fail alike look like limbs; the photographs know better. That they agree makes nothing soft.
+/// Where all trackers fail alike, a rigid body seems to deform, and the photographs contradict that. Photographs that agree with
+/// departures do not make a rigid body flexible.
 #[test]
-fn photographs_take_the_trackers_word_back_but_do_not_soften_what_is_rigid() {
-    let largest = |scenario, told| {
+fn photographs_overrule_departures_but_make_no_rigid_body_flexible() {
+    let largest = |scenario, odds| {
         let scene = simulate(&Recipe { scenario, ..Recipe::default() });
-        let groups = fuse_with(&scene, 1.0, None, &mut Tell(told)).groups;
+        let groups = fuse_with(&scene, 1.0, None, &mut SameOdds(odds)).groups;
         groups.iter().max_by_key(|group| group.cells).unwrap().flexibility
     };
     let (walker, car) = (largest(Scenario::Walker, 0.0), largest(Scenario::Car, 0.0));
