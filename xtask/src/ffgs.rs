@@ -26,7 +26,7 @@ const FFGS: Program = Program {
 const LAB: Program = Program {
     package: "ffgs-lab",
     name: "ffgs-lab",
-    commands: &["motion-eval", "simulate", "ablations", "compare"],
+    commands: &["motion-eval", "simulate", "ablations", "compare", "synthetic", "enlarge"],
 };
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.
@@ -53,6 +53,11 @@ pub(crate) fn pass_through(root: &Path, args: &[String]) -> Result<ExitCode> {
 /// Builds the release binary of `ffgs` and returns its path.
 pub(crate) fn build(root: &Path) -> Result<PathBuf> {
     build_in(root, "release")
+}
+
+/// Builds the release binary of `ffgs-lab` and returns its path.
+pub(crate) fn build_lab(root: &Path) -> Result<PathBuf> {
+    LAB.build(root, "release")
 }
 
 /// Builds `ffgs` with a profile, `release` or `dev`, and returns its path.

@@ -2,8 +2,10 @@
 
 use crate::ablations::{self, AblationArgs};
 use crate::compare::{self, CompareArgs};
+use crate::enlarge::{self, EnlargeArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
+use crate::synthetic::{self, SyntheticArgs};
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use ffgs_pipeline::terminal;
@@ -27,6 +29,10 @@ enum Command {
     Ablations(AblationArgs),
     /// Run methods on captures from one first frame, and write tables and curves of quality, seconds and storage
     Compare(CompareArgs),
+    /// Make a capture of the paper's size, or a smaller one, and the run of its first frame
+    Synthetic(SyntheticArgs),
+    /// Enlarge the images, masks and tracks of a capture
+    Enlarge(EnlargeArgs),
 }
 
 /// Runs the program on its command line. An error is printed with its causes.
@@ -51,6 +57,14 @@ fn dispatch(command: Command) -> Result<()> {
         Command::Compare(args) => {
             args.log.start();
             compare::run(&args)
+        }
+        Command::Synthetic(args) => {
+            args.log.start();
+            synthetic::run(&args)
+        }
+        Command::Enlarge(args) => {
+            args.log.start();
+            enlarge::run(&args)
         }
     }
 }

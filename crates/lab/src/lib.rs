@@ -2,9 +2,12 @@
 //! depend on any of this.
 
 pub mod ablations;
+mod capture_writer;
 mod cells;
 pub mod cli;
 mod compare;
+mod enlarge;
 pub mod evaluation;
 pub mod motion_eval;
 mod simulate;
+mod synthetic;

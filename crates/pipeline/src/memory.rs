@@ -1,4 +1,6 @@
-/// Most memory that this process has held so far (MiB): `VmHWM` of Linux; `None` on other systems.
+//! What this process has used so far, as Linux tells; `None` on other systems.
+
+/// Most memory held (MiB): `VmHWM`.
 pub(crate) fn peak_mib() -> Option<f64> {
     peak_kib(&std::fs::read_to_string("/proc/self/status").ok()?).map(|kib| kib / 1024.0)
 }
@@ -6,6 +8,30 @@ pub(crate) fn peak_mib() -> Option<f64> {
 fn peak_kib(status: &str) -> Option<f64> {
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     line.trim().strip_suffix("kB")?.trim().parse().ok()
+}
+
+/// Bytes read from files, pipes and sockets (MiB), those that the system had in memory with them.
+pub(crate) fn read_mib() -> Option<f64> {
+    read_bytes(&std::fs::read_to_string("/proc/self/io").ok()?).map(|bytes| bytes / f64::from(1 << 20))
+}
+
+fn read_bytes(io: &str) -> Option<f64> {
+    io.lines().find_map(|l| l.strip_prefix("rchar:"))?.trim().parse().ok()
+}
+
+/// Time of all threads on processors (s).
+pub(crate) fn processor_seconds() -> Option<f64> {
+    processor_ticks(&std::fs::read_to_string("/proc/self/stat").ok()?).map(|ticks| ticks / TICKS_PER_SECOND)
+}
+
+/// What Linux shows to programs, whatever its timer does.
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// Fields 14 and 15 of `proc(5)`'s stat; the second, a name in brackets, may hold blanks.
+fn processor_ticks(stat: &str) -> Option<f64> {
+    let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace().skip(11);
+    let mut next = || fields.next()?.parse::<f64>().ok();
+    Some(next()? + next()?)
 }
 
 #[cfg(test)]
@@ -17,5 +43,10 @@ mod tests {
         assert_eq!(peak_kib("Name:\tffgs\nVmHWM:\t  204800 kB\nVmRSS:\t 1 kB\n"), Some(204_800.0));
         assert_eq!(peak_kib("VmRSS:\t 1 kB\n"), None);
         assert_eq!(peak_kib("VmHWM:\t many kB\n"), None);
+        assert_eq!(read_bytes("rchar: 12\nwchar: 5\n"), Some(12.0));
+        assert_eq!(read_bytes("wchar: 5\n"), None);
+        let stat = "7 (a ) b) S 1 2 3 4 5 6 7 8 9 10 250 50 0 0";
+        assert_eq!(processor_ticks(stat), Some(300.0));
+        assert_eq!(processor_ticks("7 (a"), None);
     }
 }

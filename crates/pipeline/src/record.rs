@@ -51,6 +51,12 @@ pub struct FrameRecord {
     /// Most memory that the program had held when the frame was done (MiB); absent where the system does not say.
     #[serde(default)]
     pub peak_memory_mib: Option<f64>,
+    /// What the program had read from files when the frame was done (MiB); absent as above.
+    #[serde(default)]
+    pub read_mib: Option<f64>,
+    /// Time on processors, of all threads, when the frame was done (s); absent as above.
+    #[serde(default)]
+    pub processor_seconds: Option<f64>,
     /// Seconds, skips and warnings of its stages.
     #[serde(flatten)]
     pub log: StageLog,

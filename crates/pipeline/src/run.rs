@@ -16,6 +16,7 @@ use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
+use crate::memory;
 use crate::method::Parts;
 use crate::provenance::{checksums, frame_digest};
 use crate::publish::publish;
@@ -519,7 +520,8 @@ impl<'a> Job<'a> {
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
-        record.peak_memory_mib = crate::memory::peak_mib();
+        record.peak_memory_mib = memory::peak_mib();
+        (record.read_mib, record.processor_seconds) = (memory::read_mib(), memory::processor_seconds());
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
         let splats = [static_file, dynamic_file, folder.join("sky.png")];
         // What a method stores in its own form reproduces the frame alone.

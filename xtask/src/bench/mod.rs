@@ -4,6 +4,7 @@
 
 mod floor;
 mod gpu;
+mod paper;
 mod results;
 
 use crate::{ffgs, workspace};
@@ -40,6 +41,8 @@ pub(crate) struct Options {
     /// How time and peak memory grow with Gaussians, pixels, views and foreground; a word after it selects cases.
     #[arg(long)]
     scaling: bool,
+    #[command(flatten)]
+    paper: paper::PaperOptions,
 }
 
 /// Where the table of a whole pass is kept.
@@ -54,6 +57,10 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     if let gpu::Device::Gpu(adapter) = options.device {
         let origin = format!("host: {}; commit {}", machine(), commit(root));
         return gpu::run(root, adapter, options.quick, &options.cases, &origin);
+    }
+    if options.paper.paper || options.paper.upscaled.is_some() {
+        let heading = format!("# {}; commit {}", machine(), commit(root));
+        return paper::run(root, &options.paper, &heading);
     }
     if options.scaling {
         return scaling(root, options);
