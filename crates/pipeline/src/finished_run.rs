@@ -1,6 +1,5 @@
 //! A run that has finished frames, to be read.
 
-use crate::exposures::Exposures;
 use crate::folder::RunFolder;
 use crate::json::read_json;
 use crate::manifest::Manifest;
@@ -20,8 +19,6 @@ pub struct FinishedRun {
     pub manifest: Manifest,
     /// What it was run on.
     pub capture: Box<dyn Capture>,
-    /// The exposures of its cameras.
-    pub(crate) exposures: Exposures,
     /// Finished frames, ascending.
     pub frames: Vec<usize>,
 }
@@ -50,8 +47,7 @@ impl FinishedRun {
             );
         }
         let capture = open_capture(at)?;
-        let exposures = Exposures::read(&folder)?;
-        Ok(Self { folder, manifest, capture, exposures, frames })
+        Ok(Self { folder, manifest, capture, frames })
     }
 
     /// The numbers of every finished frame.

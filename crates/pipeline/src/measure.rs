@@ -1,8 +1,7 @@
 //! How an export looks in a player, beside the run's own renders.
 
-use crate::exposures::Exposures;
 use crate::picture::{draw, panorama_picture, sky_picture};
-use crate::scoring::{TestView, load_tests};
+use crate::scoring::load_tests;
 use anyhow::Result;
 use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
@@ -47,21 +46,19 @@ pub(crate) struct Pair {
 
 /// Renders the test views of a frame twice and compares both with the photographs.
 pub(crate) fn measure(
-    (capture, exposures): (&dyn Capture, &Exposures),
+    capture: &dyn Capture,
     scene: &Scene,
     shown: &Shown,
     frame: usize,
 ) -> Result<Measurement> {
     let mut sums: [Sums; 3] = Default::default();
-    for TestView { truth, exposure } in load_tests(capture, exposures, frame)?.0 {
+    for truth in load_tests(capture, frame)? {
         let camera = &truth.camera;
         let own_sky = sky_picture(&scene.sky, camera);
-        let (mut ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
+        let (ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
         let opaque = opaque(camera.size(), &transmittance);
         let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, camera));
-        let (mut theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
-        exposure.apply(&mut ours);
-        exposure.apply(&mut theirs);
+        let (theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
         let everything = Mask::filled(camera.size(), true);
         for (sums, mask) in sums.iter_mut().zip([&everything, &opaque, &truth.mask]) {
             sums.run.extend(mpsnr(&ours, &truth.image, mask)?);

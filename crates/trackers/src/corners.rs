@@ -1,6 +1,7 @@
 //! Shi and Tomasi's corners ("Good features to track", CVPR 1994), spread over the picture.
 
 use crate::pyramid::Level;
+use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Mask;
 
 /// Half the side of the window over which the gradients' products are summed.
@@ -17,7 +18,7 @@ pub(crate) fn corners(
     cell: usize,
     fine_cell: usize,
 ) -> Vec<([f32; 2], f32)> {
-    let strength = strengths(level);
+    let strength = dispatch(Strengths(level));
     let mut found = in_cells(level, &strength, cell, |i| interest.is_none_or(|m| m.data()[i] == 0));
     if let Some(mask) = interest {
         found.extend(in_cells(level, &strength, fine_cell, |i| mask.data()[i] != 0));
@@ -34,10 +35,15 @@ fn in_cells(
     let (width, height) = (level.size.width, level.size.height);
     let columns = width.div_ceil(cell);
     let mut best = vec![(0, LEAST_EIGENVALUE); columns * height.div_ceil(cell)];
-    for (i, &s) in strength.iter().enumerate() {
-        let slot = &mut best[i / width / cell * columns + i % width / cell];
-        if s > slot.1 && counts(i) {
-            *slot = (i, s);
+    for (y, row) in strength.chunks_exact(width).enumerate() {
+        let slots = &mut best[y / cell * columns..][..columns];
+        for (k, (slot, values)) in slots.iter_mut().zip(row.chunks(cell)).enumerate() {
+            for (x, &s) in values.iter().enumerate() {
+                let i = y * width + k * cell + x;
+                if s > slot.1 && counts(i) {
+                    *slot = (i, s);
+                }
+            }
         }
     }
     let centre = |i: usize| [(i % width) as f32 + 0.5, (i / width) as f32 + 0.5];
@@ -45,39 +51,68 @@ fn in_cells(
 }
 
 /// Smaller eigenvalue of the mean structure tensor around every pixel.
-fn strengths(level: &Level) -> Vec<f32> {
-    let (width, height) = (level.size.width, level.size.height);
-    // Sums along the rows first, then down the columns.
-    let (rows, first) = (height + 2 * RADIUS, -(RADIUS as isize));
-    let mut wide = vec![[0.0_f32; 3]; width * rows];
-    for y in 0..rows {
-        let start = level.index(first, first + y as isize);
-        let window = |x: usize| start + x..start + x + 2 * RADIUS + 1;
-        for x in 0..width {
-            let (dx, dy) = (&level.dx[window(x)], &level.dy[window(x)]);
-            let mut sum = [0.0; 3];
-            for (u, v) in dx.iter().zip(dy) {
-                sum[0] += u * u;
-                sum[1] += u * v;
-                sum[2] += v * v;
+struct Strengths<'a>(&'a Level);
+
+impl Kernel for Strengths<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run<const FMA: bool>(self) -> Vec<f32> {
+        let level = self.0;
+        let (width, height) = (level.size.width, level.size.height);
+        let side = 2 * RADIUS + 1;
+        let first = -(RADIUS as isize);
+        // Sums along the rows first, then down the columns of the last rows.
+        let mut sums = vec![[0.0_f32; 3].map(|v| vec![v; width]); side];
+        let mut out = vec![0.0; width * height];
+        for y in 0..height + 2 * RADIUS {
+            let start = level.index(first, first + y as isize);
+            let columns = start..start + width + 2 * RADIUS;
+            along_row::<FMA>(&level.dx[columns.clone()], &level.dy[columns], &mut sums[y % side]);
+            if let Some(row) = y.checked_sub(2 * RADIUS) {
+                down_columns(&sums, &mut out[row * width..(row + 1) * width]);
             }
-            wide[y * width + x] = sum;
         }
+        out
     }
-    let per_pixel = 1.0 / ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
-    let mut out = Vec::with_capacity(width * height);
-    for i in 0..width * height {
-        let mut sum = [0.0; 3];
+}
+
+/// Sums of the derivatives' products (xx, xy, yy) over the columns of every window.
+#[inline(always)]
+fn along_row<const FMA: bool>(dx: &[f32], dy: &[f32], sums: &mut [Vec<f32>; 3]) {
+    let [xx, xy, yy] = sums.each_mut().map(|v| &mut v[..]);
+    let width = xx.len();
+    let (xy, yy) = (&mut xy[..width], &mut yy[..width]);
+    let (dx, dy) = (&dx[..width + 2 * RADIUS], &dy[..width + 2 * RADIUS]);
+    for x in 0..width {
+        let mut sum = [0.0_f32; 3];
         for k in 0..=2 * RADIUS {
-            let row = wide[i + k * width];
-            sum.iter_mut().zip(row).for_each(|(s, v)| *s += v);
+            let (u, v) = (dx[x + k], dy[x + k]);
+            sum = [fma::<FMA>(u, u, sum[0]), fma::<FMA>(u, v, sum[1]), fma::<FMA>(v, v, sum[2])];
         }
-        out.push(smaller_eigenvalue(sum.map(|s| s * per_pixel)));
+        (xx[x], xy[x], yy[x]) = (sum[0], sum[1], sum[2]);
     }
-    out
+}
+
+/// Adds up the rows of every window.
+#[inline(always)]
+fn down_columns(sums: &[[Vec<f32>; 3]], out: &mut [f32]) {
+    let per_pixel = 1.0 / (sums.len() * sums.len()) as f32;
+    let width = out.len();
+    let mut total = [0, 1, 2].map(|_| vec![0.0_f32; width]);
+    for row in sums {
+        for (total, row) in total.iter_mut().zip(row) {
+            total.iter_mut().zip(row).for_each(|(t, v)| *t += v);
+        }
+    }
+    let [xx, xy, yy] = total.each_ref().map(|v| &v[..width]);
+    for x in 0..width {
+        out[x] = smaller_eigenvalue([xx[x], xy[x], yy[x]].map(|s| s * per_pixel));
+    }
 }
 
 /// Of the symmetric matrix (a b; b c).
+#[inline(always)]
 pub(crate) fn smaller_eigenvalue([a, b, c]: [f32; 3]) -> f32 {
     0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
 }

@@ -8,6 +8,7 @@ mod descriptors;
 mod lucas_kanade;
 mod matching;
 mod pyramid;
+mod simd;
 mod tracker;
 
 pub use descriptors::Descriptor;

@@ -1,4 +1,6 @@
 use crate::Descriptor;
+use ffgs_core::instructions;
+use pulp::{Simd, WithSimd};
 
 /// The nearest descriptor, and how near the nearest two are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,25 +26,42 @@ pub fn nearest_two(
     all: &[Descriptor],
     candidates: impl IntoIterator<Item = usize>,
 ) -> Option<Neighbours> {
-    let mut best: Option<Neighbours> = None;
-    for index in candidates {
-        let distance = squared_distance(wanted, &all[index]);
-        best = Some(match best {
-            None => Neighbours { index, nearest: distance, second: f32::INFINITY },
-            Some(b) if distance < b.nearest => Neighbours { index, nearest: distance, second: b.nearest },
-            Some(b) => Neighbours { second: b.second.min(distance), ..b },
-        });
-    }
-    best
+    instructions().dispatch(Nearest { wanted, all, candidates })
 }
 
-/// In a fixed order of sixteen partial sums.
-fn squared_distance(a: &Descriptor, b: &Descriptor) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    for (x, y) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
-        for ((s, x), y) in sums.iter_mut().zip(x).zip(y) {
-            *s += (x - y) * (x - y);
+struct Nearest<'a, I> {
+    wanted: &'a Descriptor,
+    all: &'a [Descriptor],
+    candidates: I,
+}
+
+impl<I: IntoIterator<Item = usize>> WithSimd for Nearest<'_, I> {
+    type Output = Option<Neighbours>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let mut best: Option<Neighbours> = None;
+        for index in self.candidates {
+            let distance = squared_distance(simd, self.wanted, &self.all[index]);
+            best = Some(match best {
+                None => Neighbours { index, nearest: distance, second: f32::INFINITY },
+                Some(b) if distance < b.nearest => Neighbours { index, nearest: distance, second: b.nearest },
+                Some(b) => Neighbours { second: b.second.min(distance), ..b },
+            });
         }
+        best
     }
-    sums.iter().sum()
+}
+
+#[inline(always)]
+fn squared_distance<S: Simd>(simd: S, a: &Descriptor, b: &Descriptor) -> f32 {
+    // Two sums, so that one addition need not wait for the other.
+    let mut sums = [simd.splat_f32s(0.0); 2];
+    let pairs = S::as_simd_f32s(a).0.chunks_exact(2).zip(S::as_simd_f32s(b).0.chunks_exact(2));
+    for (x, y) in pairs {
+        let (first, second) = (simd.sub_f32s(x[0], y[0]), simd.sub_f32s(x[1], y[1]));
+        sums[0] = simd.mul_add_f32s(first, first, sums[0]);
+        sums[1] = simd.mul_add_f32s(second, second, sums[1]);
+    }
+    simd.reduce_sum_f32s(simd.add_f32s(sums[0], sums[1]))
 }

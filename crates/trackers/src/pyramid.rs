@@ -1,3 +1,4 @@
+use crate::simd::{Kernel, dispatch};
 use ffgs_core::{ImageRgb8, ImageSize};
 
 /// Pixels repeated around every level, so that windows may reach over the border.
@@ -25,10 +26,25 @@ pub struct Pyramid {
 impl Pyramid {
     /// The pyramid of a photograph, of at most `levels` levels.
     pub fn new(image: &ImageRgb8, levels: usize) -> Self {
+        dispatch(Build { image, levels })
+    }
+}
+
+struct Build<'a> {
+    image: &'a ImageRgb8,
+    levels: usize,
+}
+
+impl Kernel for Build<'_> {
+    type Output = Pyramid;
+
+    #[inline(always)]
+    fn run<const FMA: bool>(self) -> Pyramid {
+        let Self { image, levels } = self;
         let grey = |p: &[u8]| 0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2]);
         let mut data: Vec<f32> = image.data().chunks_exact(3).map(grey).collect();
         let mut size = image.size();
-        let mut out = Self { levels: vec![Level::new(&data, size)] };
+        let mut out = Pyramid { levels: vec![Level::new(&data, size)] };
         while out.levels.len() < levels && size.width.min(size.height) >= 2 * SMALLEST_SIDE {
             (data, size) = halved(&data, size);
             out.levels.push(Level::new(&data, size));
@@ -38,6 +54,7 @@ impl Pyramid {
 }
 
 impl Level {
+    #[inline(always)]
     fn new(data: &[f32], size: ImageSize) -> Self {
         let stride = size.width + 2 * PAD;
         let grey = padded(data, size);
@@ -47,6 +64,7 @@ impl Level {
     }
 
     /// Scharr's derivatives.
+    #[inline(always)]
     fn differentiate(&mut self) {
         let (s, g) = (self.stride, &self.grey);
         let rows = g.len() / s;
@@ -54,6 +72,8 @@ impl Level {
             let (above, here, below) =
                 (&g[(y - 1) * s..y * s], &g[y * s..(y + 1) * s], &g[(y + 1) * s..(y + 2) * s]);
             let (dx, dy) = (&mut self.dx[y * s..(y + 1) * s], &mut self.dy[y * s..(y + 1) * s]);
+            let (above, here, below) = (&above[..s], &here[..s], &below[..s]);
+            let (dx, dy) = (&mut dx[..s], &mut dy[..s]);
             for x in 1..s - 1 {
                 let right = 3.0 * (above[x + 1] + below[x + 1]) + 10.0 * here[x + 1];
                 let left = 3.0 * (above[x - 1] + below[x - 1]) + 10.0 * here[x - 1];
@@ -89,6 +109,7 @@ fn padded(data: &[f32], size: ImageSize) -> Vec<f32> {
 }
 
 /// Half the size (rounded up), filtered by (1 3 3 1) / 8 in both directions; borders repeat.
+#[inline(always)]
 fn halved(data: &[f32], size: ImageSize) -> (Vec<f32>, ImageSize) {
     let half = ImageSize { width: size.width.div_ceil(2), height: size.height.div_ceil(2) };
     let taps = |i: usize, n: usize| {
@@ -96,14 +117,23 @@ fn halved(data: &[f32], size: ImageSize) -> (Vec<f32>, ImageSize) {
         [at(-1), at(0), at(1), at(2)]
     };
     let filter = |v: [f32; 4]| (v[0] + v[3] + 3.0 * (v[1] + v[2])) / 8.0;
-    let mut narrow = Vec::with_capacity(half.width * size.height);
-    for row in data.chunks_exact(size.width) {
-        narrow.extend((0..half.width).map(|x| filter(taps(x, size.width).map(|i| row[i]))));
+    let mut narrow = vec![0.0; half.width * size.height];
+    for (row, out) in data.chunks_exact(size.width).zip(narrow.chunks_exact_mut(half.width)) {
+        // Inside the borders no index has to be bounded.
+        let inside = row.get(1..).unwrap_or_default().windows(4).step_by(2);
+        for (out, v) in out[1..].iter_mut().zip(inside) {
+            *out = filter([v[0], v[1], v[2], v[3]]);
+        }
+        for x in [0, half.width - 1] {
+            out[x] = filter(taps(x, size.width).map(|i| row[i]));
+        }
     }
-    let mut out = Vec::with_capacity(half.pixels());
-    for y in 0..half.height {
-        let rows = taps(y, size.height);
-        out.extend((0..half.width).map(|x| filter(rows.map(|r| narrow[r * half.width + x]))));
+    let mut out = vec![0.0; half.pixels()];
+    for (y, out) in out.chunks_exact_mut(half.width).enumerate() {
+        let [a, b, c, d] = taps(y, size.height).map(|r| &narrow[r * half.width..][..half.width]);
+        for x in 0..out.len() {
+            out[x] = filter([a[x], b[x], c[x], d[x]]);
+        }
     }
     (out, half)
 }

@@ -77,6 +77,11 @@ impl Frame {
         Self { pyramid, size, corners: all, keypoints, descriptors }
     }
 
+    /// Positions of all corners.
+    pub fn corners(&self) -> &[[f32; 2]] {
+        &self.corners
+    }
+
     /// Positions of the corners that have a descriptor.
     pub fn keypoints(&self) -> &[[f32; 2]] {
         &self.keypoints
@@ -91,19 +96,16 @@ impl Frame {
 /// Sparse tracks: descriptors that are each other's nearest and distinct, refined by Lucas-Kanade.
 pub fn matches(prev: &Frame, next: &Frame, config: &TrackerConfig) -> TrackSet {
     let reach = config.reach * prev.size.width as f32;
-    let there = nearest(prev, next, reach);
-    let back = nearest(next, prev, reach);
-    let mut out = TrackSet::default();
-    for (i, found) in there.iter().enumerate() {
-        let Some(found) = found.filter(|f| f.is_distinct(config.ratio)) else { continue };
-        let mutual = back[found.index].is_some_and(|b| b.index == i);
-        if mutual
-            && let Some(end) = refined(prev, next, prev.keypoints[i], next.keypoints[found.index], config)
-        {
-            push(&mut out, prev.keypoints[i], end);
-        }
-    }
-    out
+    let matched: Vec<Option<[f32; 2]>> = (0..prev.keypoints.len())
+        .into_par_iter()
+        .map(|i| {
+            let found = nearest(prev, i, next, reach).filter(|f| f.is_distinct(config.ratio))?;
+            let is_mutual = nearest(next, found.index, prev, reach).is_some_and(|back| back.index == i);
+            let end = || refined(prev, next, prev.keypoints[i], next.keypoints[found.index], config);
+            is_mutual.then(end).flatten()
+        })
+        .collect();
+    collected(&prev.keypoints, matched)
 }
 
 /// Medium tracks: every corner, from no motion and from the motions of the sparse tracks around it; the best of
@@ -111,31 +113,22 @@ pub fn matches(prev: &Frame, next: &Frame, config: &TrackerConfig) -> TrackSet {
 pub fn lucas_kanade(prev: &Frame, next: &Frame, sparse: &TrackSet, config: &TrackerConfig) -> TrackSet {
     let tracked: Vec<Option<[f32; 2]>> =
         prev.corners.par_iter().map(|p| best_track(prev, next, *p, sparse, config)).collect();
-    let mut out = TrackSet::default();
-    for (start, end) in prev.corners.iter().zip(tracked) {
-        if let Some(end) = end {
-            push(&mut out, *start, end);
-        }
-    }
-    out
+    collected(&prev.corners, tracked)
 }
 
-fn push(tracks: &mut TrackSet, src: [f32; 2], tgt: [f32; 2]) {
-    tracks.src.push(src);
-    tracks.tgt.push(tgt);
-    tracks.visibility.push(1.0);
+/// The tracks that have an end.
+fn collected(starts: &[[f32; 2]], ends: Vec<Option<[f32; 2]>>) -> TrackSet {
+    let (src, tgt): (Vec<_>, Vec<_>) =
+        starts.iter().zip(ends).filter_map(|(start, end)| Some((*start, end?))).unzip();
+    TrackSet { visibility: vec![1.0; src.len()], src, tgt }
 }
 
-fn nearest(from: &Frame, to: &Frame, reach: f32) -> Vec<Option<crate::Neighbours>> {
-    let near = |p: [f32; 2], q: [f32; 2]| (p[0] - q[0]).abs() <= reach && (p[1] - q[1]).abs() <= reach;
-    from.keypoints
-        .par_iter()
-        .zip(&from.descriptors)
-        .map(|(p, d)| {
-            let candidates = (0..to.keypoints.len()).filter(|&j| near(*p, to.keypoints[j]));
-            nearest_two(d, &to.descriptors, candidates)
-        })
-        .collect()
+/// The nearest descriptors of `to` to keypoint `i` of `from`.
+fn nearest(from: &Frame, i: usize, to: &Frame, reach: f32) -> Option<crate::Neighbours> {
+    let p = from.keypoints[i];
+    let near = |q: [f32; 2]| (p[0] - q[0]).abs() <= reach && (p[1] - q[1]).abs() <= reach;
+    let candidates = (0..to.keypoints.len()).filter(|&j| near(to.keypoints[j]));
+    nearest_two(&from.descriptors[i], &to.descriptors, candidates)
 }
 
 /// The subpixel end of a match, if Lucas-Kanade agrees with it.

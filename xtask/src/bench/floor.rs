@@ -132,7 +132,7 @@ pub(crate) fn seconds(case: &Case, rates: &Rates, counts: &BTreeMap<String, Coun
 /// Work of one kind.
 fn plain(case: &Case, rates: &Rates, threads: usize) -> Option<f64> {
     let each = match case.name.split('/').next() {
-        Some("machine") => 1.0,
+        Some("machine" | "trackers") => 1.0,
         Some("loss") => LOSS,
         _ => FORWARD + BACKWARD,
     };

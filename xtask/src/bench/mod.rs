@@ -49,6 +49,8 @@ pub(crate) struct Options {
 const TABLE: &str = "docs/bench/cpu.csv";
 /// That of `--scaling`.
 const SCALING: &str = "docs/bench/scaling.csv";
+/// Package and benchmark of what is timed on the CPU.
+const BENCHES: [[&str; 2]; 2] = [["ffgs-trainer", "cpu"], ["ffgs-trackers", "trackers"]];
 /// Counts of the rendered scenes, written by the benchmark beside criterion's own files.
 const COUNTS: &str = "counts.csv";
 
@@ -86,8 +88,12 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 }
 
 fn measure(root: &Path, options: &Options) -> Result<()> {
+    BENCHES.iter().try_for_each(|bench| measure_one(root, options, *bench))
+}
+
+fn measure_one(root: &Path, options: &Options, [package, bench]: [&str; 2]) -> Result<()> {
     let mut command = workspace::cargo(root);
-    command.args(["bench", "-p", "ffgs-trainer", "--bench", "cpu", "--", "--noplot"]);
+    command.args(["bench", "-p", package, "--bench", bench, "--", "--noplot"]);
     if options.quick {
         command.args(["--warm-up-time", "0.1", "--measurement-time", "0.3", "--sample-size", "10"]);
     }
