@@ -7,6 +7,7 @@
 mod atomic_file;
 mod camera;
 mod estimate;
+mod exposure;
 mod gaussians;
 mod image;
 mod input_file;
@@ -22,6 +23,7 @@ mod view;
 pub use atomic_file::write_atomically;
 pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
 pub use estimate::{EstimateStatus, Estimates, Observations};
+pub use exposure::Exposure;
 pub use gaussians::{Gaussians, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
 pub use input_file::{is_present, open_input, read_bytes, read_text, refuse_link};

@@ -107,6 +107,7 @@ impl Config {
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {
+            first_frame: FirstFrameConfig { exposures: false, ..defaults.first_frame },
             birth: BirthConfig { iterations: 0, ..defaults.birth },
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
             dynamic: DynamicLaneConfig {
@@ -176,11 +177,14 @@ mod tests {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(&literal).motion(), literal);
         let ours = Config::literal().with_motion(&MotionConfig::default());
-        let Config { birth, dynamic, background, disocclusion, .. } = ours;
+        let Config { first_frame, birth, dynamic, background, disocclusion, .. } = ours;
         assert_eq!((birth.iterations, disocclusion.iterations, dynamic.loss_dilation), (0, 0, 0));
-        assert_eq!(dynamic.prior_weight, 0.0);
+        assert_eq!((dynamic.prior_weight, first_frame.exposures), (0.0, false));
         assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));
-        assert_eq!(ours, Config { birth, dynamic, background, disocclusion, ..Config::default() });
+        assert_eq!(
+            ours,
+            Config { first_frame, birth, dynamic, background, disocclusion, ..Config::default() }
+        );
     }
 
     #[test]

@@ -49,12 +49,12 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record = run.record(frame)?;
-        let truths = load_tests(capture, frame)?;
+        let (tests, _) = load_tests(capture, &run.exposures, frame)?;
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
         (record.views, pictures.views) =
-            score(capture, &scene, &truths, &folder.frame(frame), Devices(&gpus))?;
+            score(capture, &scene, &tests, &folder.frame(frame), Devices(&gpus))?;
         write_json(&file, &pictures)?;
         records.push(record);
         bar.inc(1);

@@ -1,5 +1,6 @@
 //! A run that has finished frames, to be read.
 
+use crate::exposures::Exposures;
 use crate::folder::RunFolder;
 use crate::json::read_json;
 use crate::manifest::Manifest;
@@ -19,6 +20,8 @@ pub struct FinishedRun {
     pub manifest: Manifest,
     /// What it was run on.
     pub capture: Box<dyn Capture>,
+    /// The exposures of its cameras.
+    pub(crate) exposures: Exposures,
     /// Finished frames, ascending.
     pub frames: Vec<usize>,
 }
@@ -47,7 +50,8 @@ impl FinishedRun {
             );
         }
         let capture = open_capture(at)?;
-        Ok(Self { folder, manifest, capture, frames })
+        let exposures = Exposures::read(&folder)?;
+        Ok(Self { folder, manifest, capture, exposures, frames })
     }
 
     /// The numbers of every finished frame.

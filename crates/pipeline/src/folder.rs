@@ -49,6 +49,11 @@ impl RunFolder {
         self.frame(frame).join("pictures.json")
     }
 
+    /// The exposures of the cameras, where they differ.
+    pub(crate) fn exposures(&self) -> PathBuf {
+        self.0.join("exposures.json")
+    }
+
     /// The circle around what moves, a [`ffgs_report::Turntable`]; a run writes it at its end.
     pub fn turntable(&self) -> PathBuf {
         self.0.join("turntable.json")

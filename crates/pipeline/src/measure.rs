@@ -1,7 +1,8 @@
 //! How an export looks in a player, beside the run's own renders.
 
+use crate::exposures::Exposures;
 use crate::picture::{draw, panorama_picture, sky_picture};
-use crate::scoring::load_tests;
+use crate::scoring::{TestView, load_tests};
 use anyhow::Result;
 use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
@@ -46,19 +47,21 @@ pub(crate) struct Pair {
 
 /// Renders the test views of a frame twice and compares both with the photographs.
 pub(crate) fn measure(
-    capture: &dyn Capture,
+    (capture, exposures): (&dyn Capture, &Exposures),
     scene: &Scene,
     shown: &Shown,
     frame: usize,
 ) -> Result<Measurement> {
     let mut sums: [Sums; 3] = Default::default();
-    for truth in load_tests(capture, frame)? {
+    for TestView { truth, exposure } in load_tests(capture, exposures, frame)?.0 {
         let camera = &truth.camera;
         let own_sky = sky_picture(&scene.sky, camera);
-        let (ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
+        let (mut ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
         let opaque = opaque(camera.size(), &transmittance);
         let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, camera));
-        let (theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
+        let (mut theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
+        exposure.apply(&mut ours);
+        exposure.apply(&mut theirs);
         let everything = Mask::filled(camera.size(), true);
         for (sums, mask) in sums.iter_mut().zip([&everything, &opaque, &truth.mask]) {
             sums.run.extend(mpsnr(&ours, &truth.image, mask)?);

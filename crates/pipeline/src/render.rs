@@ -8,7 +8,7 @@ use crate::orbit::{clear_of, orbit};
 use crate::scoring::{render as render_scene, write_png};
 use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Camera, ImageRgb8};
+use ffgs_core::{Camera, Exposure, ImageRgb8};
 use ffgs_method::{Capture, Split, ViewAt};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -28,7 +28,9 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     let stem = format!("orbit_{frame:06}");
     let views = match (&args.camera, args.orbit) {
         (Some(name), false) => {
-            vec![(format!("{name}_{frame:06}.png"), named_camera(&*run.capture, name, frame)?)]
+            let at = named_view(&*run.capture, name, frame)?;
+            let exposure = run.exposures.of(&*run.capture, at)?;
+            vec![(format!("{name}_{frame:06}.png"), run.capture.camera(at)?, exposure)]
         }
         (None, true) => {
             let cameras = orbit(&*run.capture, &scene.dynamic.gaussians, frame, ORBIT_VIEWS)?;
@@ -36,7 +38,7 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
             cameras
                 .into_iter()
                 .enumerate()
-                .map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera))
+                .map(|(v, camera)| (format!("{stem}_{v:03}.png"), camera, Exposure::NEUTRAL))
                 .collect()
         }
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
@@ -45,10 +47,11 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     let gpus = args.device.open()?;
     let bar = progress(args.log.quiet, "views", views.len());
     for group in views.chunks(VIEWS_AT_ONCE) {
-        let cameras: Vec<Camera> = group.iter().map(|(_, camera)| *camera).collect();
-        let pictures = render_scene(&scene, &cameras, Devices(&gpus))?;
-        for ((name, _), picture) in group.iter().zip(&pictures) {
-            write_png(&out.join(name), &ImageRgb8::from(picture))?;
+        let cameras: Vec<Camera> = group.iter().map(|(_, camera, _)| *camera).collect();
+        let mut pictures = render_scene(&scene, &cameras, Devices(&gpus))?;
+        for ((name, _, exposure), picture) in group.iter().zip(&mut pictures) {
+            exposure.apply(picture);
+            write_png(&out.join(name), &ImageRgb8::from(&*picture))?;
             bar.inc(1);
         }
     }
@@ -57,13 +60,13 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     if args.orbit { write_video(&out, &stem) } else { Ok(()) }
 }
 
-/// The pose of a camera at a frame, whatever its split.
-fn named_camera(capture: &dyn Capture, name: &str, frame: usize) -> Result<Camera> {
+/// The view of a camera at a frame, whatever its split.
+fn named_view(capture: &dyn Capture, name: &str, frame: usize) -> Result<ViewAt> {
     for split in Split::ALL {
         if let Some(view) = capture.views(split).iter().position(|view| view == name) {
             // Views of the init split have one pose.
             let frame = if split == Split::Init { 0 } else { frame };
-            return Ok(capture.camera(ViewAt { split, view, frame })?);
+            return Ok(ViewAt { split, view, frame });
         }
     }
     let names = Split::ALL.iter().flat_map(|&s| capture.views(s)).map(String::as_str);

@@ -8,10 +8,11 @@ use crate::console::Console;
 use crate::device;
 use crate::devices::Devices;
 use crate::disocclusion;
+use crate::exposures::Exposures;
 use crate::few_views::trial;
 use crate::first_frame::{sky_or_none, split};
 use crate::folder::RunFolder;
-use crate::frame::{init_views, load_training, load_views, select_views, test_views, training_views};
+use crate::frame::{init_views, load_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
@@ -23,14 +24,16 @@ use crate::publish::publish;
 use crate::record::{FrameRecord, Metrics};
 use crate::registry::{self, open_capture};
 use crate::request::RunRequest;
-use crate::scoring::{mean_mpsnr, score, thumbnails, write_png};
+use crate::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::start::start;
 use crate::state;
 use crate::turntable::write_turntable;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomically};
 use ffgs_dataset::ImageCheck;
-use ffgs_method::{Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Step, TrackSource};
+use ffgs_method::{
+    Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Step, TrackSource, ViewAt,
+};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
 use ffgs_trainer::{FirstFrame, Prior, StaticLane, StaticTargets, Surroundings, camera_extent};
@@ -68,8 +71,9 @@ fn run_frames(job: &Job) -> Result<PathBuf> {
 /// What one frame leaves for the next.
 struct Last {
     scene: Scene,
-    /// Training views of that frame.
+    /// Training views of that frame, in one exposure.
     views: Vec<TrainingView>,
+    exposures: Exposures,
 }
 
 /// Least time between two publications, in units of the duration of the first of them. Publishing takes longer the more
@@ -78,6 +82,8 @@ const PUBLISHING_INTERVAL: u32 = 20;
 
 /// The training of few cameras' first frame without one of them, on the console and in the report.
 const TRIAL: &str = "first frame without its middle view";
+/// The training of frame 0 once the exposures of its cameras are removed.
+const EQUAL: &str = "first frame, exposures removed";
 
 struct Job<'a> {
     request: &'a RunRequest,
@@ -199,7 +205,11 @@ impl<'a> Job<'a> {
             let scene = state::load(&self.folder.state(frame), frame)?;
             let saved = self.folder.read_method_state(frame)?;
             method.restore(&saved, &scene).with_context(|| self.named("state"))?;
-            Ok(Last { scene, views: load_training(&*self.capture, &self.views, frame)? })
+            let exposures = Exposures::read(&self.folder)?;
+            let shots = training_views(&self.views, frame);
+            let (mut views, _) = load_views(&*self.capture, &shots)?;
+            exposures.remove(&*self.capture, &shots, &mut views)?;
+            Ok(Last { scene, views, exposures })
         };
         Ok((metrics, frames.last().map(load).transpose()?))
     }
@@ -244,14 +254,18 @@ impl<'a> Job<'a> {
         let shots = [training_views(&self.views, frame), init_views(&*self.capture, frame)].concat();
         let (mut views, sums) = load_views(&*self.capture, &shots)?;
         let count = self.views.len();
-        let mut scene = if let Some(run) = &self.request.first_frame {
-            self.taken_from(&RunFolder(run.clone()), frame, &views)?
+        let (mut scene, exposures) = if let Some(run) = &self.request.first_frame {
+            let run = RunFolder(run.clone());
+            let exposures = Exposures::read(&run)?;
+            exposures.remove(&*self.capture, &shots, &mut views)?;
+            (self.taken_from(&run, frame, &views)?, exposures)
         } else {
             record.log.since("load", start);
-            let trained = self.train_all(&views, console, &mut record.log)?;
+            let (trained, exposures) = self.train_all(&shots, &mut views, console, &mut record.log)?;
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
-            split(&self.config().marking, &trained.gaussians, sky, &views[..count], &views)?
+            (split(&self.config().marking, &trained.gaussians, sky, &views[..count], &views)?, exposures)
         };
+        exposures.write(&self.folder)?;
         if scene.dynamic.knowledge.information.is_empty() {
             let learning = Instant::now();
             knowledge::learn(&mut scene, None, &views);
@@ -265,11 +279,11 @@ impl<'a> Job<'a> {
         views.truncate(count);
         method.begin(&scene).with_context(|| self.named("first frame"))?;
         record.log.since("wall", start);
-        let (truths, tests) = load_views(&*self.capture, &test_views(&*self.capture, frame))?;
-        let sums = [&sums[..count], &tests, &sums[count..]].concat();
+        let (tests, read) = load_tests(&*self.capture, &exposures, frame)?;
+        let sums = [&sums[..count], &read, &sums[count..]].concat();
         record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, sums)?);
-        let record = self.finish(frame, &scene, &truths, method, FramePictures::default(), record)?;
-        Ok((Last { scene, views }, record))
+        let record = self.finish(frame, &scene, &tests, method, FramePictures::default(), record)?;
+        Ok((Last { scene, views, exposures }, record))
     }
 
     /// The first frame of another run; marked again where that run marked otherwise. `views` begins with the training
@@ -285,12 +299,15 @@ impl<'a> Job<'a> {
         split(&self.config().marking, &scene.joint(), scene.sky, own, views)
     }
 
+    /// Trains frame 0. Where the exposures of the cameras differ, they are removed from `views`, taken at `shots`, for the
+    /// training that counts.
     fn train_all(
         &self,
-        views: &[TrainingView],
+        shots: &[ViewAt],
+        views: &mut [TrainingView],
         console: &mut Console,
         log: &mut StageLog,
-    ) -> Result<FirstFrame> {
+    ) -> Result<(FirstFrame, Exposures)> {
         let config = &self.config().first_frame;
         let train = |name: &'static str, views: &[TrainingView]| {
             let config = &config.for_views(views.len());
@@ -310,7 +327,18 @@ impl<'a> Job<'a> {
             log.since(TRIAL, start);
             trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
         }
-        train("first frame", views)
+        let first = train("first frame", views)?;
+        let estimating = Instant::now();
+        let exposures = if config.exposures {
+            Exposures::estimate(&*self.capture, shots, views, &first.gaussians)
+        } else {
+            Exposures::default()
+        };
+        log.since("exposures", estimating);
+        let Some(differ) = exposures.fact() else { return Ok((first, exposures)) };
+        tracing::info!("exposures {differ}");
+        exposures.remove(&*self.capture, shots, views)?;
+        Ok((train(EQUAL, views)?, exposures))
     }
 
     /// t - 1 to t: motion initialisation, then the three lanes at the same time.
@@ -323,8 +351,10 @@ impl<'a> Job<'a> {
         console: &Console,
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
-        let Last { mut scene, views: before } = last;
-        let (now, sums) = load_views(&*self.capture, &training_views(&self.views, frame))?;
+        let Last { mut scene, views: before, exposures } = last;
+        let shots = training_views(&self.views, frame);
+        let (mut now, sums) = load_views(&*self.capture, &shots)?;
+        exposures.remove(&*self.capture, &shots, &mut now)?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let log = &mut record.log;
         log.since("load", start);
@@ -342,9 +372,9 @@ impl<'a> Job<'a> {
             .with_context(|| self.named(&format!("prediction of frame {frame}")))?;
         let measuring = Instant::now();
         let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
-        let (truths, tests) = load_views(&*self.capture, &test_views(&*self.capture, frame))?;
-        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, [sums, tests].concat())?);
-        record.initial_mpsnr = mean_mpsnr(&scene, &truths, self.devices())?;
+        let (tests, read) = load_tests(&*self.capture, &exposures, frame)?;
+        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, [sums, read].concat())?);
+        record.initial_mpsnr = mean_mpsnr(&scene, &tests, self.devices())?;
         let measuring = measuring.elapsed().as_secs_f64();
         if method.births() {
             self.add_newborn(frame, &mut scene, &now, console, log)?;
@@ -365,8 +395,8 @@ impl<'a> Job<'a> {
             Finetuning::Done => {}
         }
         log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
-        let record = self.finish(frame, &scene, &truths, method, pictures, record)?;
-        Ok((Last { scene, views: now }, record))
+        let record = self.finish(frame, &scene, &tests, method, pictures, record)?;
+        Ok((Last { scene, views: now, exposures }, record))
     }
 
     /// Moving Gaussians where the masks are not explained.
@@ -500,7 +530,7 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         scene: &Scene,
-        truths: &[TrainingView],
+        tests: &[TestView],
         method: &dyn MotionMethod,
         mut pictures: FramePictures,
         mut record: FrameRecord,
@@ -515,7 +545,7 @@ impl<'a> Job<'a> {
         format.write(&dynamic_file, &dynamic, RenderMode::Mip)?;
         let texels = scene.sky.texels.as_flattened();
         ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
-        (record.views, pictures.views) = score(&*self.capture, scene, truths, &folder, self.devices())?;
+        (record.views, pictures.views) = score(&*self.capture, scene, tests, &folder, self.devices())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();

@@ -1,10 +1,12 @@
 //! Renders the test views of a frame and measures them.
 
 use crate::devices::Devices;
+use crate::exposures::Exposures;
 use crate::frame::{load_views, test_views};
+use crate::provenance::Checksum;
 use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
-use ffgs_core::{Camera, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
+use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_metrics::{image_ssim, mpsnr, psnr};
 use ffgs_report::Thumbnails;
@@ -43,35 +45,56 @@ fn is_fixed(capture: &dyn Capture, view: usize) -> bool {
     (1..capture.frames_of(Split::Test)).all(|frame| camera(frame) == camera(0))
 }
 
-/// The test views of a frame.
-pub(crate) fn load_tests(capture: &dyn Capture, frame: usize) -> Result<Vec<TrainingView>> {
-    load_views(capture, &test_views(capture, frame)).map(|(views, _)| views)
+/// A test view as it was photographed, and the exposure in which it is to be rendered.
+pub(crate) struct TestView {
+    pub truth: TrainingView,
+    pub exposure: Exposure,
 }
 
-/// Mean foreground PSNR (dB) over the test views `truths`, without pictures; `None` where nothing is in the foreground.
-pub(crate) fn mean_mpsnr(scene: &Scene, truths: &[TrainingView], devices: Devices) -> Result<Option<f64>> {
-    let truths: Vec<&TrainingView> = truths.iter().filter(|truth| truth.mask.count() > 0).collect();
-    let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
+/// The test views of a frame, and the checksums of what they were read from.
+pub(crate) fn load_tests(
+    capture: &dyn Capture,
+    exposures: &Exposures,
+    frame: usize,
+) -> Result<(Vec<TestView>, Vec<Checksum>)> {
+    let shots = test_views(capture, frame);
+    let (truths, sums) = load_views(capture, &shots)?;
+    let with_exposure = |(truth, &at): (TrainingView, &ViewAt)| {
+        exposures.of(capture, at).map(|exposure| TestView { truth, exposure })
+    };
+    Ok((truths.into_iter().zip(&shots).map(with_exposure).collect::<Result<_>>()?, sums))
+}
+
+/// The test views as their cameras would show the scene.
+fn render_tests(scene: &Scene, tests: &[&TestView], devices: Devices) -> Result<Vec<PlanarImage>> {
+    let cameras: Vec<Camera> = tests.iter().map(|test| test.truth.camera).collect();
+    let mut rendered = render(scene, &cameras, devices)?;
+    rendered.iter_mut().zip(tests).for_each(|(image, test)| test.exposure.apply(image));
+    Ok(rendered)
+}
+
+/// Mean foreground PSNR (dB) over the test views, without pictures; `None` where nothing is in the foreground.
+pub(crate) fn mean_mpsnr(scene: &Scene, tests: &[TestView], devices: Devices) -> Result<Option<f64>> {
+    let tests: Vec<&TestView> = tests.iter().filter(|test| test.truth.mask.count() > 0).collect();
     let mut values = Vec::new();
-    for (truth, rendered) in truths.iter().zip(render(scene, &cameras, devices)?) {
+    for (TestView { truth, .. }, rendered) in tests.iter().zip(render_tests(scene, &tests, devices)?) {
         values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
     }
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
 }
 
-/// Renders the test views `truths` into `folder/test/CAMERA.png` and measures them. Returns the metrics and, for the
+/// Renders the test views into `folder/test/CAMERA.png` and measures them. Returns the metrics and, for the
 /// report, ground truth, render and error of each view.
 pub(crate) fn score(
     capture: &dyn Capture,
     scene: &Scene,
-    truths: &[TrainingView],
+    tests: &[TestView],
     folder: &Path,
     devices: Devices,
 ) -> Result<(Vec<ViewMetrics>, Vec<[String; 3]>)> {
-    let cameras: Vec<Camera> = truths.iter().map(|truth| truth.camera).collect();
-    let rendered = render(scene, &cameras, devices)?;
+    let rendered = render_tests(scene, &tests.iter().collect::<Vec<_>>(), devices)?;
     let thumbnails = thumbnails(capture);
-    let score = |(v, (truth, rendered)): (usize, (&TrainingView, PlanarImage))| {
+    let score = |(v, (TestView { truth, .. }, rendered)): (usize, (&TestView, PlanarImage))| {
         let name = &capture.views(Split::Test)[v];
         let picture = ImageRgb8::from(&rendered);
         write_png(&folder.join(format!("test/{name}.png")), &picture)?;
@@ -87,7 +110,7 @@ pub(crate) fn score(
         let pictures = thumbnails.view(&truth.image, &picture)?.context("a render has its camera's size")?;
         Ok((metrics, pictures))
     };
-    let views: Vec<_> = truths.iter().zip(rendered).enumerate().collect();
+    let views: Vec<_> = tests.iter().zip(rendered).enumerate().collect();
     Ok(views.into_par_iter().map(score).collect::<Result<Vec<_>>>()?.into_iter().unzip())
 }
 

@@ -1,12 +1,16 @@
 //! Runs over two or three frames of the sample, with next to no training.
 
+use ffgs_core::Exposure;
+use ffgs_method::{Split, ViewAt};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
 use ffgs_pipeline::folder::RunFolder;
 use ffgs_pipeline::json::read_json;
 use ffgs_pipeline::record::{FrameRecord, Metrics};
+use ffgs_pipeline::registry::open_capture;
 use ffgs_pipeline::request::{FrameRange, RunRequest};
 use ffgs_pipeline::run::run;
+use ffgs_pipeline::scoring::write_png;
 use ffgs_pipeline::state;
 use ffgs_trainer::StaticMethod;
 use std::fs;
@@ -186,4 +190,64 @@ fn a_second_frame_has_covariances_of_its_own_and_grows_to_its_limit() {
     let before = |id: &u32| first.covariances[first.ids.iter().position(|other| other == id).unwrap()];
     let changed = kept.ids.iter().zip(&kept.covariances).filter(|(id, c)| before(id) != **c).count();
     assert!(2 * changed > kept.ids.len(), "{changed} of {} were fused", kept.ids.len());
+}
+
+/// The sample with photographs of three training cameras as if these had exposures of their own.
+fn unequally_exposed(folder: &Path, exposures: &[(&str, f64)]) -> PathBuf {
+    let copy = folder.join("capture");
+    let files = walkdir(&sample());
+    for file in files {
+        let to = copy.join(file.strip_prefix(sample()).unwrap());
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        fs::copy(&file, to).unwrap();
+    }
+    let capture = open_capture(&sample()).unwrap();
+    for (name, offset) in exposures {
+        let view = capture.views(Split::Train).iter().position(|view| view == name).unwrap();
+        let at = ViewAt { split: Split::Train, view, frame: 0 };
+        let exposure = Exposure { offsets: [-offset; 3] };
+        let image = exposure.removed(&capture.image(at).unwrap());
+        let file = capture.image_file(at).unwrap();
+        write_png(&copy.join(file.strip_prefix(sample()).unwrap()), &image).unwrap();
+    }
+    copy
+}
+
+fn walkdir(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    entries.flat_map(|path| if path.is_dir() { walkdir(&path) } else { vec![path] }).collect()
+}
+
+#[test]
+fn unequal_exposures_are_found_kept_and_given_back() {
+    let folder = TempDir::new().unwrap();
+    let exposures = [("trk000", 0.8), ("trk004", -0.5), ("trk008", -0.3)];
+    let capture = unequally_exposed(folder.path(), &exposures);
+    let out = |name: &str| folder.path().join(name);
+    let request = |name: &str, remove: bool, first_frame: Option<&str>| {
+        let mut request = request(&out(name), 0);
+        request.config.first_frame.iterations = 60;
+        request.config.first_frame.exposures = remove;
+        RunRequest {
+            capture: capture.clone(),
+            frames: Some(first(1)),
+            first_frame: first_frame.map(&out),
+            ..request
+        }
+    };
+    run(&request("removed", true, None)).unwrap();
+    run(&request("kept", false, None)).unwrap();
+    run(&request("again", true, Some("removed"))).unwrap();
+    let found: serde_json::Value = read_json(&out("removed").join("exposures.json")).unwrap();
+    for (name, offset) in exposures {
+        let red = found["train"][name][0].as_f64().unwrap();
+        assert!((red - offset).abs() < 0.2, "{name}: {red}, {offset}");
+    }
+    assert!(!out("kept").join("exposures.json").exists());
+    let file = |name: &str| fs::read(out(name).join("exposures.json")).unwrap();
+    assert!(file("removed") == file("again"), "--first-frame takes its exposures");
+    assert!(report(&out("removed")).contains("exposures.json"));
+    // The test cameras have the common exposure.
+    let psnr = |name: &str| metrics(&out(name)).frames[0].views.iter().map(|view| view.psnr).sum::<f64>();
+    assert!(psnr("removed") > psnr("kept"), "{} {}", psnr("removed"), psnr("kept"));
 }

@@ -44,6 +44,8 @@ pub struct FirstFrameConfig {
     pub few_views: usize,
     /// Share of the Gaussians that each step leaves out.
     pub dropout: f32,
+    /// Whether differences of the cameras' exposures are removed from the photographs.
+    pub exposures: bool,
 }
 
 impl Default for FirstFrameConfig {
@@ -63,6 +65,7 @@ impl Default for FirstFrameConfig {
             sky_rate: 5e-3,
             few_views: 12,
             dropout: 0.4,
+            exposures: true,
         }
     }
 }

@@ -88,7 +88,7 @@ impl Export<'_> {
                     let path = self.splat_path(frame);
                     let read = self.as_read(&path, joint)?;
                     let shown = Shown { gaussians: &read, sky: None, antialiased: self.args.native };
-                    measured.push(measure(&*self.run.capture, &scene, &shown, frame)?);
+                    measured.push(measure((&*self.run.capture, &self.run.exposures), &scene, &shown, frame)?);
                 }
             }
             bar.inc(1);

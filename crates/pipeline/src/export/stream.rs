@@ -219,7 +219,7 @@ fn measure_all(
         joint.extend(&decoded.dynamic_layer);
         let sky = Panorama::decode(&decoded.sky, axes.up, axes.forward)?;
         let shown = Shown { gaussians: &joint, sky: Some(&sky), antialiased: true };
-        out.push(measure(&*run.capture, &run.scene(frame)?, &shown, frame)?);
+        out.push(measure((&*run.capture, &run.exposures), &run.scene(frame)?, &shown, frame)?);
         bar.inc(1);
     }
     bar.finish_and_clear();

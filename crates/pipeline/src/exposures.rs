@@ -1,0 +1,271 @@
+//! The exposures of a run's cameras: estimated once, removed from photographs, given back to renders (docs/adr/0055-exposures.md).
+
+use crate::folder::RunFolder;
+use crate::json::{read_json, write_json};
+use anyhow::{Context, Result};
+use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
+use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_trainer::estimate_exposures;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Root mean square of the offsets of the training views (log odds) from which cameras differ. Surfaces that reflect differ between views,
+/// too: 0.02 to
+/// 0.09 in four rendered captures of one exposure, 0.18 to 0.22 in two filmed ones.
+const DIFFERENT: f64 = 0.12;
+/// Least squared distance of two cameras, as a share of the rig's.
+const NEAREST: f64 = 1e-6;
+
+/// Offsets of the log odds (red, green, blue) by camera; empty where cameras agree.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Exposures {
+    /// Training views.
+    train: BTreeMap<String, [f64; 3]>,
+    /// Views of the first frame alone.
+    init: BTreeMap<String, [f64; 3]>,
+}
+
+impl Exposures {
+    /// Of the photographs `views`, taken at `shots`, on the surfaces of a first frame that was trained on them.
+    pub(crate) fn estimate(
+        capture: &dyn Capture,
+        shots: &[ViewAt],
+        views: &[TrainingView],
+        trained: &Gaussians,
+    ) -> Self {
+        let estimated = estimate_exposures(trained, views);
+        let of_training = || shots.iter().zip(&estimated).filter(|(at, _)| at.split == Split::Train);
+        let mean = |c: usize| {
+            of_training().map(|(_, exposure)| exposure.offsets[c]).sum::<f64>()
+                / of_training().count().max(1) as f64
+        };
+        let means = [0, 1, 2].map(mean);
+        let mut all = Self::default();
+        for (at, exposure) in shots.iter().zip(&estimated) {
+            let offsets = [0, 1, 2].map(|c| ((exposure.offsets[c] - means[c]) * 1e4).round() / 1e4);
+            all.split_mut(at.split).insert(capture.views(at.split)[at.view].clone(), offsets);
+        }
+        tracing::debug!("exposures: {:.3} (log odds, root mean square), {:?}", all.deviation(), all.train);
+        if all.deviation() > DIFFERENT { all } else { Self::default() }
+    }
+
+    fn split_mut(&mut self, split: Split) -> &mut BTreeMap<String, [f64; 3]> {
+        if split == Split::Init { &mut self.init } else { &mut self.train }
+    }
+
+    /// Root mean square of the training views' offsets (log odds).
+    pub(crate) fn deviation(&self) -> f64 {
+        let offsets: Vec<f64> = self.train.values().flatten().copied().collect();
+        (offsets.iter().map(|o| o * o).sum::<f64>() / offsets.len().max(1) as f64).sqrt()
+    }
+
+    /// Whether all cameras agree.
+    pub(crate) fn are_neutral(&self) -> bool {
+        self.train.is_empty()
+    }
+
+    /// Those of a run; neutral where it wrote none.
+    ///
+    /// # Errors
+    /// When the file is damaged.
+    pub(crate) fn read(folder: &RunFolder) -> Result<Self> {
+        let file = folder.exposures();
+        if !file.exists() {
+            return Ok(Self::default());
+        }
+        let exposures: Self = read_json(&file)?;
+        let all = exposures.train.values().chain(exposures.init.values()).flatten();
+        anyhow::ensure!(
+            all.clone().all(|offset| offset.is_finite() && offset.abs() < 20.0),
+            "{}: an offset is no number between -20 and 20; bring the file back",
+            file.display()
+        );
+        Ok(exposures)
+    }
+
+    /// Writes them for the frames to come; removes those of an earlier run where all cameras agree.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub(crate) fn write(&self, folder: &RunFolder) -> Result<()> {
+        let file = folder.exposures();
+        if !self.are_neutral() {
+            return write_json(&file, self);
+        }
+        if file.exists() {
+            std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+        }
+        Ok(())
+    }
+
+    /// Of one view. A camera that was not trained on has the mean of the training cameras, the nearest of which count most, as
+    /// far as neighbours resemble each other: in a walk with one camera they do, in a rig of several they may not.
+    ///
+    /// # Errors
+    /// When a camera cannot be read.
+    pub(crate) fn of(&self, capture: &dyn Capture, at: ViewAt) -> Result<Exposure> {
+        if self.are_neutral() {
+            return Ok(Exposure::NEUTRAL);
+        }
+        let name = &capture.views(at.split)[at.view];
+        let known = match at.split {
+            Split::Train => self.train.get(name),
+            Split::Init => self.init.get(name),
+            Split::Test => None,
+        };
+        if let Some(&offsets) = known {
+            return Ok(Exposure { offsets });
+        }
+        let known = self.known_cameras(capture, at.frame)?;
+        let (likeness, neighbours) = (likeness(&known), from_neighbours(&known, &capture.camera(at)?));
+        Ok(Exposure { offsets: neighbours.map(|offset| likeness * offset) })
+    }
+
+    /// Training cameras at a frame, and their offsets.
+    fn known_cameras(&self, capture: &dyn Capture, frame: usize) -> Result<Vec<(Camera, [f64; 3])>> {
+        let names = capture.views(Split::Train).iter().enumerate();
+        let known = names.filter_map(|(view, name)| Some((view, *self.train.get(name)?)));
+        known
+            .map(|(view, offsets)| {
+                Ok((capture.camera(ViewAt { split: Split::Train, view, frame })?, offsets))
+            })
+            .collect()
+    }
+
+    /// Turns photographs taken at `shots` into those that cameras of one exposure would have taken.
+    ///
+    /// # Errors
+    /// When a camera cannot be read.
+    pub(crate) fn remove(
+        &self,
+        capture: &dyn Capture,
+        shots: &[ViewAt],
+        views: &mut [TrainingView],
+    ) -> Result<()> {
+        for (&at, view) in shots.iter().zip(views).filter(|_| !self.are_neutral()) {
+            view.image = self.of(capture, at)?.removed(&view.image);
+        }
+        Ok(())
+    }
+
+    /// What the report says of them; `None` where all cameras agree.
+    pub(crate) fn fact(&self) -> Option<String> {
+        let largest = |offsets: &[f64; 3]| {
+            offsets.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
+        };
+        let furthest = self.train.iter().map(|(name, offsets)| (name, largest(offsets)));
+        let (name, offset) = furthest.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
+        Some(format!(
+            "differ by {:.2} (root mean square of the log odds), most {name} by {offset:+.2}; removed from the photographs, \
+             given back to the renders (exposures.json)",
+            self.deviation()
+        ))
+    }
+}
+
+/// Mean of the offsets of cameras; weights fall with the fourth power of the distance and of the angle between the views.
+fn from_neighbours(known: &[(Camera, [f64; 3])], camera: &Camera) -> [f64; 3] {
+    let distances: Vec<f64> =
+        known.iter().map(|(other, _)| other.center().distance_squared(camera.center())).collect();
+    // Lengths in units of the rig, to be added to angles.
+    let rig = (distances.iter().sum::<f64>() / distances.len().max(1) as f64).max(f64::MIN_POSITIVE);
+    let weight = |((other, _), distance): (&(Camera, [f64; 3]), &f64)| {
+        let angle = other.rotation().row(2).angle_between(camera.rotation().row(2));
+        (distance / rig + angle * angle + NEAREST).powi(-2)
+    };
+    let weights: Vec<f64> = known.iter().zip(&distances).map(weight).collect();
+    let sum: f64 = weights.iter().sum();
+    [0, 1, 2].map(|c| {
+        let weighted = known.iter().zip(&weights).map(|((_, offsets), w)| w * offsets[c]);
+        if known.is_empty() { 0.0 } else { weighted.sum::<f64>() / sum }
+    })
+}
+
+/// How far cameras resemble their neighbours, 0 to 1: the slope of their offsets over those that the others predict.
+fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
+    let (mut product, mut square) = (0.0, f64::MIN_POSITIVE);
+    for left_out in 0..known.len() {
+        let mut others = known.to_vec();
+        let (camera, offsets) = others.remove(left_out);
+        for (predicted, offset) in from_neighbours(&others, &camera).iter().zip(offsets) {
+            product += predicted * offset;
+            square += predicted * predicted;
+        }
+    }
+    (product / square).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::registry::open_capture;
+    use ffgs_core::{ImageSize, Intrinsics};
+    use glam::{DMat4, DVec3};
+    use std::path::Path;
+
+    fn sample() -> Box<dyn Capture> {
+        let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
+        open_capture(&sample).unwrap()
+    }
+
+    /// Training view `bright` by +1, the others by nothing.
+    fn one_bright(capture: &dyn Capture, bright: usize) -> Exposures {
+        let names = capture.views(Split::Train).iter().enumerate();
+        let offsets = |view| [if view == bright { 1.0 } else { 0.0 }; 3];
+        Exposures {
+            train: names.map(|(view, name)| (name.clone(), offsets(view))).collect(),
+            init: BTreeMap::new(),
+        }
+    }
+
+    /// Cameras in a row that look along z, one per offset.
+    fn row(offsets: &[f64]) -> Vec<(Camera, [f64; 3])> {
+        offsets.iter().enumerate().map(|(i, offset)| (at(i as f64), [*offset; 3])).collect()
+    }
+
+    fn at(x: f64) -> Camera {
+        let size = ImageSize { width: 16, height: 8 };
+        let intrinsics = Intrinsics { fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0 };
+        Camera::new(intrinsics, DMat4::from_translation(DVec3::new(-x, 0.0, 0.0)), size).unwrap()
+    }
+
+    #[test]
+    fn neighbours_predict_an_exposure_as_far_as_they_resemble_each_other() {
+        let walk = row(&[-0.6, -0.5, -0.3, -0.1, 0.0, 0.2, 0.3, 0.4, 0.6]);
+        let between = from_neighbours(&walk, &at(6.5))[0];
+        assert!((between - 0.35).abs() < 0.05, "{between}");
+        assert!(likeness(&walk) > 0.8, "{}", likeness(&walk));
+        let alternating = row(&[0.5, -0.5, 0.5, -0.5, 0.5, -0.5]);
+        assert_eq!(likeness(&alternating), 0.0);
+        assert_eq!((from_neighbours(&[], &at(0.0)), likeness(&[])), ([0.0; 3], 0.0));
+        assert_eq!(from_neighbours(&walk[..1], &at(0.0)), [-0.6; 3]);
+    }
+
+    #[test]
+    fn a_training_view_has_its_own_exposure_and_no_view_has_one_where_cameras_agree() {
+        let capture = sample();
+        let view = |split, view| ViewAt { split, view, frame: 0 };
+        let exposures = one_bright(&*capture, 2);
+        let of = |at| exposures.of(&*capture, at).unwrap().offsets;
+        assert_eq!((of(view(Split::Train, 2)), of(view(Split::Train, 0))), ([1.0; 3], [0.0; 3]));
+        assert!(of(view(Split::Test, 0)).iter().all(|offset| (0.0..1.0).contains(offset)));
+        let neutral = Exposures::default().of(&*capture, view(Split::Test, 0)).unwrap();
+        assert_eq!(neutral, Exposure::NEUTRAL);
+    }
+
+    #[test]
+    fn a_run_keeps_them_and_damage_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder(folder.path().to_owned());
+        let exposures = one_bright(&*sample(), 2);
+        exposures.write(&run).unwrap();
+        assert_eq!(Exposures::read(&run).unwrap(), exposures);
+        let said = exposures.fact().unwrap();
+        assert!(said.contains("+1.00") && said.contains(&sample().views(Split::Train)[2]), "{said}");
+        std::fs::write(run.exposures(), r#"{"train": {"a": [1e9, 0, 0]}, "init": {}}"#).unwrap();
+        assert!(format!("{:#}", Exposures::read(&run).unwrap_err()).contains("exposures.json"));
+        Exposures::default().write(&run).unwrap();
+        assert!(!run.exposures().exists() && Exposures::read(&run).unwrap().fact().is_none());
+    }
+}
