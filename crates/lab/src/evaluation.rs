@@ -9,8 +9,9 @@ use ffgs_motion::{MotionInput, move_by, observe, turned};
 use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
 use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::config::Config;
+use ffgs_pipeline::exposures::Exposures;
 use ffgs_pipeline::folder::RunFolder;
-use ffgs_pipeline::frame::{load_training, select_views};
+use ffgs_pipeline::frame::select_views;
 use ffgs_pipeline::registry::open_capture;
 use ffgs_pipeline::request::FrameRange;
 use ffgs_pipeline::state;
@@ -67,6 +68,7 @@ pub struct Evaluation {
     pub frames: Range<usize>,
     places: Places,
     run: Option<RunFolder>,
+    exposures: Exposures,
     /// Frame 0: the moving Gaussians, the rest.
     start: (Gaussians, Arc<Gaussians>),
 }
@@ -96,6 +98,7 @@ impl Evaluation {
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
         ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");
         let run = args.run.clone().map(RunFolder);
+        let exposures = run.as_ref().map(Exposures::read).transpose()?.unwrap_or_default();
         if args.places == Places::Run && run.is_none() {
             bail!("--places run needs --run DIR");
         }
@@ -106,7 +109,7 @@ impl Evaluation {
             }
             None => initial_points(&*capture)?,
         };
-        Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, start })
+        Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, exposures, start })
     }
 
     /// The fused estimate of the bodies over all frames.
@@ -148,8 +151,8 @@ impl Evaluation {
         flow: &mut FlowErrors,
     ) -> Result<(Cells, Seconds)> {
         let (moving, fixed) = self.layers(frame)?;
-        let before = load_training(&*self.capture, &self.views, frame - 1)?;
-        let now = load_training(&*self.capture, &self.views, frame)?;
+        let before = self.exposures.load_training(&*self.capture, &self.views, frame - 1)?;
+        let now = self.exposures.load_training(&*self.capture, &self.views, frame)?;
         let previous = moving.positions();
         let step = Step {
             frame,

@@ -1,7 +1,7 @@
 //! Frames of a run fitted to plain viewers: the static layer once, the dynamic one in each frame.
 
 use crate::finished_run::FinishedRun;
-use crate::frame::{init_views, load_views, select_views, training_views};
+use crate::frame::{init_views, select_views, training_views};
 use anyhow::Result;
 use ffgs_bake::{FinetuneConfig, conserve_weight, finetune};
 use ffgs_core::{Camera, Gaussians, Scene, TrainingView};
@@ -79,7 +79,7 @@ impl<'a> Baker<'a> {
         let capture = &*self.run.capture;
         let selected = select_views(capture, self.run.manifest.train_views.as_deref())?;
         let views = [training_views(&selected, frame), init_views(capture, frame)].concat();
-        load_views(capture, &views).map(|(views, _)| views)
+        self.run.exposures.load(capture, &views).map(|(views, _)| views)
     }
 }
 

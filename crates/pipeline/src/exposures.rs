@@ -1,7 +1,9 @@
 //! The exposures of a run's cameras: estimated once, removed from photographs, given back to renders (docs/adr/0055-exposures.md).
 
 use crate::folder::RunFolder;
+use crate::frame::{load_views, training_views};
 use crate::json::{read_json, write_json};
+use crate::provenance::Checksum;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
 use ffgs_method::{Capture, Split, ViewAt};
@@ -19,7 +21,7 @@ const NEAREST: f64 = 1e-6;
 /// Offsets of the log odds (red, green, blue) by camera; empty where cameras agree.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Exposures {
+pub struct Exposures {
     /// Training views.
     train: BTreeMap<String, [f64; 3]>,
     /// Views of the first frame alone.
@@ -69,7 +71,7 @@ impl Exposures {
     ///
     /// # Errors
     /// When the file is damaged.
-    pub(crate) fn read(folder: &RunFolder) -> Result<Self> {
+    pub fn read(folder: &RunFolder) -> Result<Self> {
         let file = folder.exposures();
         if !file.exists() {
             return Ok(Self::default());
@@ -147,6 +149,33 @@ impl Exposures {
             view.image = self.of(capture, at)?.removed(&view.image);
         }
         Ok(())
+    }
+
+    /// Loads views in one exposure, in parallel, and the checksums of what they were read from.
+    ///
+    /// # Errors
+    /// When one of them cannot be read.
+    pub(crate) fn load(
+        &self,
+        capture: &dyn Capture,
+        shots: &[ViewAt],
+    ) -> Result<(Vec<TrainingView>, Vec<Checksum>)> {
+        let (mut views, sums) = load_views(capture, shots)?;
+        self.remove(capture, shots, &mut views)?;
+        Ok((views, sums))
+    }
+
+    /// Loads the training views `views` (by index) of a frame in one exposure.
+    ///
+    /// # Errors
+    /// When one of them cannot be read.
+    pub fn load_training(
+        &self,
+        capture: &dyn Capture,
+        views: &[usize],
+        frame: usize,
+    ) -> Result<Vec<TrainingView>> {
+        self.load(capture, &training_views(views, frame)).map(|(views, _)| views)
     }
 
     /// What the report says of them; `None` where all cameras agree.

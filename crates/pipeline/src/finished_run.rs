@@ -21,7 +21,7 @@ pub struct FinishedRun {
     /// What it was run on.
     pub capture: Box<dyn Capture>,
     /// The exposures of its cameras.
-    pub(crate) exposures: Exposures,
+    pub exposures: Exposures,
     /// Finished frames, ascending.
     pub frames: Vec<usize>,
 }

@@ -64,14 +64,6 @@ fn all_of(capture: &dyn Capture, split: Split, frame: usize) -> Vec<ViewAt> {
     (0..capture.views(split).len()).map(|view| ViewAt { split, view, frame }).collect()
 }
 
-/// Loads training views of a frame, in parallel.
-///
-/// # Errors
-/// When one of them cannot be read.
-pub fn load_training(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<TrainingView>> {
-    load_views(capture, &training_views(views, frame)).map(|(views, _)| views)
-}
-
 /// Cameras of the views, and their masks.
 pub(crate) fn cameras_and_masks(views: &[TrainingView]) -> (Vec<Camera>, Vec<Mask>) {
     views.iter().map(|v| (v.camera, v.mask.clone())).unzip()

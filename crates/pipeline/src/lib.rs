@@ -16,7 +16,7 @@ mod devices;
 mod disocclusion;
 pub mod eval;
 mod export;
-mod exposures;
+pub mod exposures;
 mod few_views;
 pub mod finished_run;
 pub mod first_frame;

@@ -206,9 +206,7 @@ impl<'a> Job<'a> {
             let saved = self.folder.read_method_state(frame)?;
             method.restore(&saved, &scene).with_context(|| self.named("state"))?;
             let exposures = Exposures::read(&self.folder)?;
-            let shots = training_views(&self.views, frame);
-            let (mut views, _) = load_views(&*self.capture, &shots)?;
-            exposures.remove(&*self.capture, &shots, &mut views)?;
+            let views = exposures.load_training(&*self.capture, &self.views, frame)?;
             Ok(Last { scene, views, exposures })
         };
         Ok((metrics, frames.last().map(load).transpose()?))
@@ -352,9 +350,7 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let Last { mut scene, views: before, exposures } = last;
-        let shots = training_views(&self.views, frame);
-        let (mut now, sums) = load_views(&*self.capture, &shots)?;
-        exposures.remove(&*self.capture, &shots, &mut now)?;
+        let (now, sums) = exposures.load(&*self.capture, &training_views(&self.views, frame))?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let log = &mut record.log;
         log.since("load", start);

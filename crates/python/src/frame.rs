@@ -4,7 +4,8 @@ use crate::failed;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube};
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::frame::{load_training, select_views};
+use ffgs_pipeline::exposures::Exposures;
+use ffgs_pipeline::frame::select_views;
 use ffgs_pipeline::orbit::orbit;
 use ffgs_pipeline::picture::{draw, panorama_picture, sky_picture};
 use ffgs_splats::Panorama;
@@ -46,11 +47,13 @@ pub(crate) struct Frame {
     /// (N, 3, 3), flat; empty for a stream.
     pub(crate) covariances: Vec<f64>,
     pub(crate) sky: Arc<Sky>,
+    /// Of the run's cameras; neutral for a stream.
+    pub(crate) exposures: Exposures,
 }
 
 impl Frame {
     /// A frame of a run.
-    pub(crate) fn of(index: usize, scene: Scene) -> Self {
+    pub(crate) fn of(index: usize, scene: Scene, exposures: Exposures) -> Self {
         Self {
             index,
             still: scene.static_layer,
@@ -58,6 +61,7 @@ impl Frame {
             ids: scene.dynamic.ids,
             covariances: scene.dynamic.covariances.iter().flat_map(glam::DMat3::to_cols_array).collect(),
             sky: Arc::new(Sky::Cube(scene.sky)),
+            exposures,
         }
     }
 
@@ -83,7 +87,7 @@ impl Frame {
         };
         let mut config = Config::default().dynamic;
         config.iterations = task.iterations.unwrap_or(config.iterations);
-        let views = load_training(&*capture.0, &select_views(&*capture.0, None)?, frame)?;
+        let views = self.exposures.load_training(&*capture.0, &select_views(&*capture.0, None)?, frame)?;
         let around = Surroundings { static_layer: &self.still, sky, prior: None };
         let mut layer = self.moving.clone();
         if let Some(means) = &task.means {
@@ -125,7 +129,7 @@ impl Frame {
         Ok(out)
     }
 
-    /// Draws the frame as `ffgs render` does: colours (H, W, 3) float32, sRGB in 0..1, and opacity (H, W) float32.
+    /// Draws the frame as `ffgs render` does, but in the exposure that all cameras share: colours (H, W, 3) float32, sRGB in 0..1, and opacity (H, W) float32.
     ///
     /// `camera` is a dict as `Capture.camera` returns. Behind the Gaussians is the sky, or one colour where `background` is given.
     #[pyo3(signature = (camera, background=None))]
@@ -183,6 +187,7 @@ impl Frame {
             ids: self.ids.clone(),
             covariances: self.covariances.clone(),
             sky: Arc::clone(&self.sky),
+            exposures: self.exposures.clone(),
         })
     }
 }

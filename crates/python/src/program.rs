@@ -10,6 +10,7 @@ use ffgs_method::Capture;
 use ffgs_pipeline::cli::{Cli, Command};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
+use ffgs_pipeline::exposures::Exposures;
 use ffgs_pipeline::first_frame::{all_views, sky_or_none, split};
 use ffgs_pipeline::frame::select_views;
 use ffgs_pipeline::stage::{Form, Stage, run as run_stage};
@@ -33,7 +34,8 @@ pub(crate) fn stage(
     py.detach(|| run_stage(stage, form, &input, &output, &Device::Cpu)).map_err(failed)
 }
 
-/// Trains frame 0 of a capture from its initial points on the CPU, as a run does, and splits it into layers. Nothing is written.
+/// Trains frame 0 of a capture from its initial points on the CPU, as a run does where the exposures of the cameras agree, and splits it
+/// into layers. Nothing is written.
 #[pyfunction]
 #[pyo3(signature = (capture, *, iterations=None, seed=0))]
 pub(crate) fn train_first_frame(
@@ -43,7 +45,7 @@ pub(crate) fn train_first_frame(
 ) -> PyResult<Frame> {
     let from = &*capture.get().0;
     let scene = capture.py().detach(|| trained(from, iterations, seed)).map_err(failed)?;
-    Ok(Frame::of(0, scene))
+    Ok(Frame::of(0, scene, Exposures::default()))
 }
 
 fn trained(capture: &dyn Capture, iterations: Option<usize>, seed: u64) -> Result<Scene> {

@@ -34,6 +34,7 @@ impl Run {
         if !self.0.frames.contains(&frame) {
             return Err(PyKeyError::new_err(format!("frame {frame} is not finished")));
         }
-        Ok(Frame::of(frame, py.detach(|| self.0.scene(frame)).map_err(failed)?))
+        let scene = py.detach(|| self.0.scene(frame)).map_err(failed)?;
+        Ok(Frame::of(frame, scene, self.0.exposures.clone()))
     }
 }

@@ -1,6 +1,7 @@
 use crate::failed;
 use crate::frame::{Frame, Sky};
 use anyhow::Result;
+use ffgs_pipeline::exposures::Exposures;
 use ffgs_stream::Reader;
 use glam::Vec3;
 use pyo3::prelude::*;
@@ -28,6 +29,7 @@ impl Stream {
             ids: Vec::new(),
             covariances: Vec::new(),
             sky: Arc::new(Sky::Encoded { picture: found.sky, up, forward }),
+            exposures: Exposures::default(),
         })
     }
 }
