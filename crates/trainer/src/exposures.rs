@@ -24,6 +24,8 @@ const USUAL: f64 = 0.5;
 const LEAST_SCALE: f64 = 0.05;
 /// Residual at which the weight is halved, in units of the median residual.
 const SOFT: f64 = 1.5;
+/// Fewest points that a view shares with others: less is chance, and the view is neutral.
+const FEWEST: usize = 50;
 /// Rounds of reweighting.
 const ROUNDS: usize = 12;
 
@@ -41,7 +43,7 @@ struct Sight {
 ///
 /// A surface point is the mean depth of a pixel; the other views that have that depth there see the same point. Each point has an unknown
 /// colour, each view one offset per channel, and the robust squared difference is least: a surface that reflects, or a depth that is wrong,
-/// is outvoted. A view that shares nothing with others is neutral.
+/// is outvoted. A view that shares next to nothing with others is neutral.
 pub fn estimate_exposures(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<Exposure> {
     let depths: Vec<Vec<f32>> = views.iter().map(|view| depths(gaussians, &view.camera)).collect();
     let points: Vec<Vec<(usize, usize)>> =
@@ -130,6 +132,10 @@ fn sees(view: usize, point: DVec3, views: &[TrainingView], depths: &[Vec<f32>]) 
 
 /// Offsets of one channel: iteratively reweighted least squares (Geman and McClure's weights) of `odds - offset - point`.
 fn offsets(points: &[Vec<Sight>], views: usize) -> Vec<f64> {
+    let mut shared = vec![0; views];
+    points.iter().filter(|p| p.len() > 1).flatten().for_each(|sight| shared[sight.view] += 1);
+    let points: Vec<Vec<Sight>> =
+        points.iter().map(|p| p.iter().filter(|s| shared[s.view] >= FEWEST).copied().collect()).collect();
     let mut offsets = DVector::zeros(views);
     let mut scale = USUAL;
     for _ in 0..ROUNDS {
@@ -253,6 +259,15 @@ mod tests {
         data[..SIZE.pixels()].fill(230);
         views[2].image = ImageRgb8::new(SIZE, data).unwrap();
         assert!(furthest(&estimate_exposures(&wall, &views), &EXPOSURES) < 0.05);
+    }
+
+    #[test]
+    fn a_few_shared_points_are_chance() {
+        let point = |view_b: f64| vec![Sight::new(0, 0.5).unwrap(), Sight::new(1, view_b).unwrap()];
+        assert_eq!(offsets(&vec![point(0.7); FEWEST - 1], 2), [0.0; 2]);
+        let found = offsets(&vec![point(0.7); FEWEST], 2);
+        let expected = (0.7_f64 / 0.3).ln();
+        assert!((found[1] - found[0] - expected).abs() < 0.05 * expected, "{found:?}");
     }
 
     #[test]
