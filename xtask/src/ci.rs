@@ -273,7 +273,9 @@ fn python(root: &Path) -> Result<Outcome> {
     run(&["-m", "pip", "install", "--quiet", "--no-index", "--find-links", &place, "fastflowgs"])?;
     let mut tests = Command::new(&interpreter);
     tests.current_dir(root).env("FFGS", ffgs::build_in(root, "dev")?);
-    captured(tests.args(["-m", "pytest", "--color", "no", "crates/python/tests"])).map(Outcome::Passed)
+    let folders = ["crates/python/tests", "python/ffgs-trackers/tests"];
+    tests.env("PYTHONPATH", root.join("python/ffgs-trackers"));
+    captured(tests.args(["-m", "pytest", "--color", "no"]).args(folders)).map(Outcome::Passed)
 }
 
 /// One round of the campaign, on the program with overflow checks that the tests have built. Every commit has its turn of

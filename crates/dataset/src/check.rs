@@ -1,5 +1,7 @@
 //! What a capture of any format holds, and what is wrong with it.
 
+use crate::mask_suspicions::{self, ViewHistory};
+use crate::outlines::Outline;
 use crate::report::{CheckReport, Note, SplitSummary, ViewSummary};
 use crate::suspicions;
 use ffgs_core::{ImageRgb8, Mask, is_present};
@@ -41,7 +43,11 @@ pub fn check_with_progress(
     let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
     let checker = Checker { capture, images, points: &points, tick: &tick };
     let checked: Vec<_> = views.into_par_iter().map(|(split, view)| checker.view(split, view)).collect();
-    for (summary, faults) in checked {
+    let mut histories = Vec::new();
+    for (summary, history, faults) in checked {
+        if summary.split == Split::Train {
+            histories.push(history);
+        }
         report.views.push(summary);
         report.faults.extend(faults);
     }
@@ -51,6 +57,10 @@ pub fn check_with_progress(
     let (faults, notes) = suspicions::find(capture, &points, &report.views);
     report.faults.extend(faults);
     report.notes.extend(notes);
+    // A run that only probes the images has been told before, or does not want to know.
+    if images == ImageCheck::Decode {
+        report.notes.extend(mask_suspicions::find(capture, &points, &histories));
+    }
     report
 }
 
@@ -85,12 +95,12 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    fn view(&self, split: Split, view: usize) -> (ViewSummary, Vec<Fault>) {
+    fn view(&self, split: Split, view: usize) -> (ViewSummary, ViewHistory, Vec<Fault>) {
         let mut summary = self.empty_summary(split, view);
-        let mut faults = Vec::new();
+        let (mut history, mut faults) = (ViewHistory::default(), Vec::new());
         for frame in 0..self.capture.frames_of(split) {
             let at = ViewAt { split, view, frame };
-            if let Err(fault) = self.frame(at, &mut summary, &mut faults) {
+            if let Err(fault) = self.frame(at, &mut summary, &mut history, &mut faults) {
                 faults.push(fault);
             }
             (self.tick)();
@@ -98,7 +108,7 @@ impl Checker<'_> {
         summary.coverage /= summary.masks.max(1) as f64;
         summary.border_coverage /= summary.masks.max(1) as f64;
         summary.brightness /= summary.images.max(1) as f64;
-        (summary, faults)
+        (summary, history, faults)
     }
 
     fn empty_summary(&self, split: Split, view: usize) -> ViewSummary {
@@ -123,18 +133,29 @@ impl Checker<'_> {
     }
 
     /// Reads image and mask of a frame; a bad image does not hide a bad mask.
-    fn frame(&self, at: ViewAt, summary: &mut ViewSummary, faults: &mut Vec<Fault>) -> Result<(), Fault> {
+    fn frame(
+        &self,
+        at: ViewAt,
+        summary: &mut ViewSummary,
+        history: &mut ViewHistory,
+        faults: &mut Vec<Fault>,
+    ) -> Result<(), Fault> {
         self.capture.camera(at)?;
+        history.areas.push(None);
         let image = match self.images {
             ImageCheck::Decode => self.capture.image(at).map(|i| brightness(&i)),
             ImageCheck::Probe => self.capture.probe(at).map(|()| 0.0),
         };
         match image {
             Ok(brightness) => {
+                history.brightness.push(brightness);
                 summary.images += 1;
                 summary.brightness += brightness;
             }
-            Err(fault) => faults.push(fault),
+            Err(fault) => {
+                history.brightness.push(0.0);
+                faults.push(fault);
+            }
         }
         let Some(mask) = self.capture.mask(at)? else {
             summary.missing_masks.push(at.frame);
@@ -144,6 +165,9 @@ impl Checker<'_> {
         summary.empty_masks += usize::from(mask.count() == 0);
         summary.coverage += mask.count() as f64 / mask.size().pixels() as f64;
         summary.border_coverage += border(&mask);
+        history.areas.pop();
+        history.areas.push(Some(mask.count()));
+        history.outlines.push(Outline::of(&mask));
         Ok(())
     }
 }

@@ -52,6 +52,9 @@ impl LogArgs {
 pub struct CheckArgs {
     /// Folder of the capture
     pub capture: PathBuf,
+    /// Also write a picture per training camera: image, outline of the mask, initial points, tracks to the next frame
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,

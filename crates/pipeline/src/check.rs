@@ -5,8 +5,8 @@ use crate::registry::open_capture;
 use anyhow::Result;
 use ffgs_core::ImageSize;
 use ffgs_dataset::{CheckReport, ImageCheck, Note, check_with_progress};
-use ffgs_method::{Capture, Split, ViewAt};
-use ffgs_tracks::{TrackStore, TracksReport};
+use ffgs_method::{Capture, Part, Split, ViewAt};
+use ffgs_tracks::{MovingBackground, TrackStore, TracksReport, moving_backgrounds};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
 use std::path::Path;
@@ -50,7 +50,7 @@ pub(crate) fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Res
         bar.set_position(done as u64);
     });
     bar.set_message("tracks");
-    let tracks = check_tracks(&*capture, &mut content);
+    let tracks = check_tracks(&*capture, images, &mut content);
     bar.finish_and_clear();
     Ok(CaptureCheck { content, tracks })
 }
@@ -65,10 +65,15 @@ fn progress_bar(quiet: bool) -> ProgressBar {
         .with_message("images")
 }
 
-fn check_tracks(capture: &dyn Capture, content: &mut CheckReport) -> TracksReport {
+fn check_tracks(capture: &dyn Capture, images: ImageCheck, content: &mut CheckReport) -> TracksReport {
     let folder = capture.root().join("tracks");
     let tracks = match TrackStore::of(capture) {
-        Ok(Some(store)) => ffgs_tracks::check(&store, &training_cameras(capture), capture.frames()),
+        Ok(Some(store)) => {
+            if images == ImageCheck::Decode {
+                content.notes.extend(moving_backgrounds(&store, capture).iter().map(|m| moving(capture, m)));
+            }
+            ffgs_tracks::check(&store, &training_cameras(capture), capture.frames())
+        }
         Ok(None) => {
             let text = "no tracks.json: only `ffgs run --method none` can be used".to_owned();
             content.notes.push(Note { file: folder, text });
@@ -78,6 +83,15 @@ fn check_tracks(capture: &dyn Capture, content: &mut CheckReport) -> TracksRepor
     };
     content.faults.extend(tracks.faults.iter().cloned());
     tracks
+}
+
+fn moving(capture: &dyn Capture, found: &MovingBackground) -> Note {
+    let MovingBackground { camera, pixels } = found;
+    let text = format!(
+        "camera '{camera}' has one pose in all frames, but its background moves by {pixels:.1} px per frame: \
+         give it a pose for every frame, or stabilise its images"
+    );
+    Note { file: capture.part(Part::Cameras(Split::Train)), text }
 }
 
 /// Folder name and image size of the training views whose cameras are good; the others have a fault already.

@@ -70,6 +70,10 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             args.log.start();
             let check = crate::check::check_capture(&args.capture, ImageCheck::Decode, args.log.quiet)?;
             terminal::print(check.to_string().trim_end());
+            if let Some(folder) = &args.pictures {
+                let count = crate::check_pictures::write(&args.capture, folder)?;
+                terminal::print(format!("{count} pictures in {}", folder.display()));
+            }
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }
         Command::Prepare(args) => {

@@ -5,6 +5,7 @@ mod bake;
 mod birth;
 mod cameras;
 mod check;
+mod check_pictures;
 pub mod choice;
 pub mod cli;
 pub mod config;

@@ -12,6 +12,7 @@
 
 #![warn(clippy::missing_errors_doc)]
 
+mod background;
 mod check;
 mod error;
 mod exr;
@@ -24,6 +25,7 @@ mod npz;
 mod source;
 mod store;
 
+pub use background::{MovingBackground, moving_backgrounds};
 pub use check::{TrackerSummary, TracksReport, check};
 pub use formats::FORMATS;
 pub use index::Tracker;
