@@ -20,7 +20,7 @@ const FFGS: Program = Program {
     name: "ffgs",
     commands: &[
         "prepare", "convert", "run", "check", "stage", "render", "eval", "export", "view", "config",
-        "devices",
+        "devices", "segment", "workflow",
     ],
 };
 const LAB: Program = Program {

@@ -34,6 +34,9 @@ Every command of ffgs and of ffgs-lab passes through, with the program built in 
   cargo xtask stage NAME --input in.npz --output out.npz
   cargo xtask render RUN --frame 3 --orbit
   cargo xtask eval RUN
+  cargo xtask segment plan CAPTURE --out DIR --length N
+                                                a long capture in parts, on several machines
+  cargo xtask workflow CAPTURE --out DIR        captures, methods and seeds as Snakemake jobs
   cargo xtask export RUN --to FORMAT            files for other players
   cargo xtask view RUN                          play a run in the browser
   cargo xtask config                            the default configuration, with comments

@@ -34,6 +34,8 @@ fn request(out: &Path) -> RunRequest {
         frames: Some(FrameRange { start: 0, end: Some(2) }),
         train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
         first_frame: None,
+        refine_first: None,
+        keep: None,
         device: Device::Cpu,
         quiet: true,
         config,

@@ -9,6 +9,7 @@ use crate::terminal;
 use anyhow::Result;
 use clap::{ArgAction, Args};
 use ffgs_trainer::StaticMethod;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use tracing::level_filters::LevelFilter;
 
@@ -143,6 +144,12 @@ pub struct RunArgs {
     /// Take the first frame from this finished run instead of training it
     #[arg(long, value_name = "RUN")]
     pub first_frame: Option<PathBuf>,
+    /// Finetune that frame for N iterations, the static layer and the sky with it; `ffgs segment` uses this
+    #[arg(long, value_name = "N", requires = "first_frame")]
+    pub refine_first: Option<usize>,
+    /// Keep the Gaussians of every Nth frame and of the last alone; of the others the numbers and the report's pictures stay
+    #[arg(long, value_name = "N")]
+    pub keep: Option<NonZeroUsize>,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,
@@ -171,6 +178,8 @@ impl RunArgs {
             frames: self.frames,
             train_views: self.train_views.clone(),
             first_frame: self.first_frame.clone(),
+            refine_first: self.refine_first,
+            keep: self.keep,
             device: self.device.clone(),
             quiet: self.log.quiet,
             config,

@@ -38,6 +38,10 @@ pub enum Command {
     Check(CheckArgs),
     /// Reconstruct a capture, frame by frame
     Run(RunArgs),
+    /// Reconstruct a long capture in parts that run on several machines, and join them
+    Segment(crate::segment::SegmentArgs),
+    /// Write a Snakemake workflow over captures, methods and seeds
+    Workflow(crate::workflow::WorkflowArgs),
     /// Render a finished run: a camera, or a circle around the moving objects
     Render(RenderArgs),
     /// Measure a finished run again
@@ -93,6 +97,8 @@ fn dispatch(command: Command) -> Result<ExitCode> {
                 page.wait();
             }
         }
+        Command::Segment(args) => crate::segment::main(&args)?,
+        Command::Workflow(args) => crate::workflow::write(&args)?,
         Command::Render(args) => {
             args.log.start();
             crate::render::render(&args)?;

@@ -45,7 +45,13 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let _lock = FolderLock::take(&args.run)?;
     let bar = progress(args.log.quiet, "frames", run.frames.len());
     let gpus = args.device.open()?;
-    let vmaf = if args.no_vmaf { Err(anyhow!("left out by --no-vmaf")) } else { Vmaf::find() };
+    let vmaf = match () {
+        () if args.no_vmaf => Err(anyhow!("left out by --no-vmaf")),
+        () if !run.thinned.is_empty() => {
+            Err(anyhow!("the pictures of {} frames were not kept (--keep of the run)", run.thinned.len()))
+        }
+        () => Vmaf::find(),
+    };
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record = run.record(frame)?;
@@ -59,11 +65,17 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
         records.push(record);
         bar.inc(1);
     }
-    score_videos(&run, vmaf.as_ref().ok(), &mut records)?;
+    if run.thinned.is_empty() {
+        score_videos(&run, vmaf.as_ref().ok(), &mut records)?;
+    }
     for record in &records {
         write_json(&folder.record(record.frame), record)?;
     }
     bar.finish_and_clear();
+    for &frame in &run.thinned {
+        records.push(run.record(frame)?);
+    }
+    records.sort_by_key(|record| record.frame);
     let metrics = Metrics::of(records);
     publish(folder, &run.manifest, &metrics)?;
     Ok((metrics, vmaf.err().map(|reason| reason.to_string())))

@@ -22,8 +22,10 @@ pub struct FinishedRun {
     pub capture: Box<dyn Capture>,
     /// The exposures of its cameras.
     pub exposures: Exposures,
-    /// Finished frames, ascending.
+    /// Finished frames whose Gaussians are there, ascending.
     pub frames: Vec<usize>,
+    /// Finished frames whose Gaussians were not kept (`ffgs run --keep`), ascending: only their numbers are there.
+    pub thinned: Vec<usize>,
 }
 
 impl FinishedRun {
@@ -37,7 +39,7 @@ impl FinishedRun {
             bail!("{} is no output folder of ffgs run: it has no run.json", path.display());
         }
         let manifest: Manifest = read_json(&folder.manifest())?;
-        let frames = finished_frames(&folder);
+        let (frames, thinned) = finished_frames(&folder);
         if frames.is_empty() {
             bail!("{} has no finished frame; finish one with ffgs run --resume", path.display());
         }
@@ -51,7 +53,7 @@ impl FinishedRun {
         }
         let capture = open_capture(at)?;
         let exposures = Exposures::read(&folder)?;
-        Ok(Self { folder, manifest, capture, exposures, frames })
+        Ok(Self { folder, manifest, capture, exposures, frames, thinned })
     }
 
     /// The numbers of every finished frame.
@@ -82,17 +84,22 @@ impl FinishedRun {
     pub(crate) fn choose(&self, frame: Option<usize>) -> Result<usize> {
         match frame.or_else(|| self.frames.last().copied()) {
             Some(frame) if self.frames.contains(&frame) => Ok(frame),
+            Some(frame) if self.thinned.contains(&frame) => bail!(
+                "--frame {frame}: its Gaussians were not kept (--keep of the run); there are those of the frames {:?}",
+                self.frames
+            ),
             _ => bail!("--frame: not finished; this run has the frames {:?}", self.frames),
         }
     }
 }
 
-fn finished_frames(folder: &RunFolder) -> Vec<usize> {
+/// Those with their Gaussians, and those without.
+fn finished_frames(folder: &RunFolder) -> (Vec<usize>, Vec<usize>) {
     let entries = std::fs::read_dir(folder.0.join("frames")).into_iter().flatten().flatten();
     let numbers = entries.filter_map(|e| e.file_name().to_str()?.parse().ok());
-    let mut frames: Vec<usize> = numbers.filter(|&f| folder.state(f).exists()).collect();
+    let mut frames: Vec<usize> = numbers.filter(|&f| folder.is_finished(f)).collect();
     frames.sort_unstable();
-    frames
+    frames.into_iter().partition(|&frame| folder.state(frame).exists())
 }
 
 #[cfg(test)]

@@ -1,11 +1,23 @@
 //! The output folder of a run.
 
 use anyhow::{Context, Result};
-use ffgs_core::{is_present, read_bytes, refuse_link};
+use ffgs_core::{is_present, read_bytes, refuse_link, write_atomically};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Most bytes that a method may keep for the next frame.
 const MAX_METHOD_BYTES: u64 = 1 << 32;
+
+/// Beginning and end of the names of a frame's large files.
+const HEAVY: [(&str, &str); 7] = [
+    ("static", ".ply"),
+    ("dynamic", ".ply"),
+    ("sky", ".png"),
+    ("motion", ".png"),
+    ("uncertainty", ".png"),
+    ("method", ".state"),
+    ("state", ".ffgs"),
+];
 
 /// Where the files of a run lie.
 #[derive(Clone, Debug)]
@@ -20,6 +32,38 @@ impl RunFolder {
     /// The frame's exact state; it exists when, and only when, the frame is finished.
     pub fn state(&self, frame: usize) -> PathBuf {
         self.frame(frame).join("state.ffgs")
+    }
+
+    /// Whether the frame is finished, also when its Gaussians are not kept.
+    pub fn is_finished(&self, frame: usize) -> bool {
+        self.state(frame).exists() || self.thinned(frame).exists()
+    }
+
+    /// There when the frame is finished and its Gaussians are not kept.
+    pub(crate) fn thinned(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("thinned")
+    }
+
+    /// Removes the Gaussians and the full-size pictures of a finished frame. Its numbers, the pictures of the report and what a
+    /// method stores in its own form stay.
+    ///
+    /// # Errors
+    /// When a file cannot be removed.
+    pub(crate) fn thin(&self, frame: usize) -> Result<()> {
+        // First the mark: a frame without state and mark is not finished.
+        let mark = self.thinned(frame);
+        write_atomically(&mark, |out| out.write_all(b"the run's option --keep thinned this frame\n"))
+            .with_context(|| format!("cannot write {}", mark.display()))?;
+        let folder = self.frame(frame);
+        let heavy = |file: &PathBuf| {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            HEAVY.iter().any(|(stem, ending)| name.starts_with(stem) && name.ends_with(ending))
+        };
+        let pictures = entries(&folder.join("test")).into_iter().filter(|file| file.is_file());
+        for file in entries(&folder).into_iter().filter(heavy).chain(pictures) {
+            std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+        }
+        Ok(())
     }
 
     /// What the method keeps for the next frame, where it keeps anything.

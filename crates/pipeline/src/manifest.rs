@@ -32,6 +32,12 @@ pub struct Manifest {
     pub train_views: Option<Vec<String>>,
     /// Run that frame 0 was taken from.
     pub first_frame: Option<PathBuf>,
+    /// Iterations for which that frame was finetuned; absent when it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refine_first: Option<usize>,
+    /// Frames per part, when the run was joined of parts (`ffgs segment`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segment_length: Option<usize>,
     /// Device.
     pub device: String,
     /// Program version and commit.
@@ -76,6 +82,8 @@ impl Manifest {
             method: method.clone(),
             train_views: request.train_views.clone(),
             first_frame: request.first_frame.clone(),
+            refine_first: request.refine_first,
+            segment_length: None,
             device,
             version: VERSION.into(),
             capture_digest: capture_digest(capture)?,
@@ -222,6 +230,8 @@ mod tests {
             method: MethodChoice::default(),
             train_views: None,
             first_frame: None,
+            refine_first: None,
+            segment_length: None,
             device: "CPU".into(),
             version: VERSION.into(),
             capture_digest: "0123abcd".into(),

@@ -3,6 +3,7 @@
 use crate::choice::MethodChoice;
 use crate::config::Config;
 use crate::device::Device;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -23,6 +24,10 @@ pub struct RunRequest {
     pub train_views: Option<Vec<String>>,
     /// Take frame 0 from this run instead of training it.
     pub first_frame: Option<PathBuf>,
+    /// Finetune the frame taken from `first_frame` for so many iterations, as a later frame is; `None` = leave it.
+    pub refine_first: Option<usize>,
+    /// Keep the Gaussians of every so many-th frame and of the last alone; `None` = of every frame.
+    pub keep: Option<NonZeroUsize>,
     /// Where to compute.
     pub device: Device,
     /// No progress bars.

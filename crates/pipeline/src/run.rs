@@ -22,8 +22,9 @@ use crate::method::Parts;
 use crate::provenance::{checksums, frame_digest};
 use crate::publish::publish;
 use crate::record::{FrameRecord, Metrics};
-use crate::registry::{self, open_capture};
+use crate::registry::open_capture;
 use crate::request::RunRequest;
+use crate::scene_files::write_splats;
 use crate::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnails, write_png};
 use crate::start::start;
 use crate::state;
@@ -31,16 +32,13 @@ use crate::turntable::write_turntable;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomically};
 use ffgs_dataset::ImageCheck;
-use ffgs_method::{
-    Capture, Finetuning, Followed, MotionMethod, RenderMode, Splats, Step, TrackSource, ViewAt,
-};
+use ffgs_method::{Capture, Finetuning, MotionMethod, Step, TrackSource, ViewAt};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, Prior, StaticLane, StaticTargets, Surroundings, camera_extent};
+use ffgs_trainer::{FirstFrame, StaticLane, camera_extent};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// Runs the job and returns the path of the report.
@@ -195,10 +193,18 @@ impl<'a> Job<'a> {
         publish(&self.folder, &self.manifest, metrics)
     }
 
+    /// Whether the Gaussians of a frame stay when later frames are finished.
+    fn keeps(&self, frame: usize) -> bool {
+        self.request.keep.is_none_or(|keep| (frame - self.frames.start).is_multiple_of(keep.get()))
+    }
+
     /// On resume, the frames that are finished: their numbers, and what the last of them leaves.
     fn finished_frames(&self, method: &mut dyn MotionMethod) -> Result<(Metrics, Option<Last>)> {
-        let finished = |frame: &usize| self.request.resume && self.folder.state(*frame).exists();
+        let finished = |frame: &usize| self.request.resume && self.folder.is_finished(*frame);
         let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
+        // What an interrupted run had begun to remove.
+        let half_thinned = |f: &&usize| self.folder.thinned(**f).exists() && Some(*f) != frames.last();
+        frames.iter().filter(half_thinned).try_for_each(|&frame| self.folder.thin(frame))?;
         let records = frames.iter().map(|&frame| self.finished_record(frame));
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
         let load = |&frame: &usize| -> Result<Last> {
@@ -231,6 +237,9 @@ impl<'a> Job<'a> {
             console.end_frame(&record);
             metrics.push(record);
             *last = Some(next);
+            if frame > self.frames.start && !self.keeps(frame - 1) {
+                self.folder.thin(frame - 1)?;
+            }
             let start = Instant::now();
             if start >= publish_next {
                 self.publish(metrics)?;
@@ -275,6 +284,9 @@ impl<'a> Job<'a> {
             scene.hidden = disocclusion::hidden(config, &scene.static_layer, &views, dilation)?;
         }
         views.truncate(count);
+        if let Some(iterations) = self.request.refine_first {
+            self.refine(frame, &mut scene, &views, iterations, console, &mut record.log)?;
+        }
         method.begin(&scene).with_context(|| self.named("first frame"))?;
         record.log.since("wall", start);
         let (tests, read) = load_tests(&*self.capture, &exposures, frame)?;
@@ -382,7 +394,8 @@ impl<'a> Job<'a> {
             .with_context(|| self.named(&format!("finetuning of frame {frame}")))?
         {
             Finetuning::ByLanes => {
-                self.finetune(frame, &mut scene, (static_lane, known), &now, console, log)?;
+                let lane = (frame, &self.config().dynamic);
+                self.finetune(lane, &mut scene, (static_lane, known), &now, console, log)?;
                 self.train_disoccluded(frame, &mut scene, static_lane, &now, console, log)?;
                 let learning = Instant::now();
                 knowledge::learn(&mut scene, predicted.as_ref(), &now);
@@ -412,51 +425,6 @@ impl<'a> Job<'a> {
             tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
         }
         log.since("birth", start);
-        Ok(())
-    }
-
-    /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
-    fn finetune(
-        &self,
-        frame: usize,
-        scene: &mut Scene,
-        (static_lane, prior): (&mut StaticLane, Option<Prior>),
-        views: &[TrainingView],
-        console: &Console,
-        log: &mut StageLog,
-    ) -> Result<()> {
-        let (config, devices) = (self.config(), self.devices());
-        let seed = self.seed(frame);
-        let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
-        let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
-        let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
-        let dynamic_bar = console.lane("dynamic", config.dynamic.iterations);
-        let static_bar = console.lane("static", config.background.static_passes());
-        let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
-            let start = Instant::now();
-            work().map(|()| start.elapsed().as_secs_f64())
-        };
-        let background = &config.background;
-        let (dynamic_s, static_s, sky_s) = devices.together(
-            || {
-                timed(&mut || {
-                    let layer = &mut dynamic.gaussians;
-                    devices.dynamic(&config.dynamic, views, around, layer, seed, &mut |p| dynamic_bar.show(p))
-                })
-            },
-            || {
-                timed(&mut || {
-                    let targets = StaticTargets { views, sky: &sky_start };
-                    let report = &mut |p| static_bar.show(p);
-                    let layer = (&mut *static_layer, &mut *static_colours);
-                    devices.static_layer(static_lane, background, targets, layer, seed, report)
-                })
-            },
-            || timed(&mut || devices.sky(background, views, &static_start, sky, seed)),
-        );
-        log.add_seconds("dynamic", dynamic_s?);
-        log.add_seconds("static", static_s?);
-        log.add_seconds("sky", sky_s?);
         Ok(())
     }
 
@@ -532,15 +500,7 @@ impl<'a> Job<'a> {
         mut record: FrameRecord,
     ) -> Result<FrameRecord> {
         let folder = self.folder.frame(frame);
-        let format = registry::run_format();
-        let file = |layer: &str| folder.join(format!("{layer}{}", format.extension()));
-        let (static_file, dynamic_file) = (file("static"), file("dynamic"));
-        format.write(&static_file, &Splats::from(&*scene.static_layer), RenderMode::Mip)?;
-        let Dynamic { gaussians, covariances, ids, .. } = &scene.dynamic;
-        let dynamic = Splats { gaussians, followed: Some(Followed { covariances, ids }) };
-        format.write(&dynamic_file, &dynamic, RenderMode::Mip)?;
-        let texels = scene.sky.texels.as_flattened();
-        ffgs_splats::write_sky_cross(&folder.join("sky.png"), scene.sky.face_size(), texels)?;
+        let splats = write_splats(&folder, scene)?;
         (record.views, pictures.views) = score(&*self.capture, scene, tests, &folder, self.devices())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
@@ -549,7 +509,6 @@ impl<'a> Job<'a> {
         record.peak_memory_mib = memory::peak_mib();
         (record.read_mib, record.processor_seconds) = (memory::read_mib(), memory::processor_seconds());
         let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
-        let splats = [static_file, dynamic_file, folder.join("sky.png")];
         // What a method stores in its own form reproduces the frame alone.
         record.bytes = if stored.is_empty() { &splats[..] } else { &stored }.iter().map(size).sum();
         write_json(&self.folder.record(frame), &record)?;
@@ -576,7 +535,7 @@ fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
 
 /// A frame after the first starts from the one before it: the initial points and init views are of frame 0.
 fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Result<()> {
-    let begun = request.resume && folder.state(start).exists();
+    let begun = request.resume && folder.is_finished(start);
     if start > 0 && request.first_frame.is_none() && !begun {
         bail!(
             "--frames {start}..: the initial points are of frame 0; run the frames 0..{next} first, then give that \
@@ -587,5 +546,6 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
     Ok(())
 }
 
+mod finetune;
 #[cfg(test)]
 mod tests;

@@ -169,6 +169,8 @@ impl CompareArgs {
             frames: self.frames,
             train_views: None,
             first_frame: None,
+            refine_first: None,
+            keep: None,
             device: self.device.clone(),
             quiet: self.log.quiet,
             config: Config::default(),

@@ -12,6 +12,10 @@ pub(crate) fn chosen(run: &FinishedRun, range: Option<FrameRange>) -> Result<Vec
     let inside = |f: &usize| *f >= range.start && range.end.is_none_or(|end| *f < end);
     let frames: Vec<usize> = run.frames.iter().copied().filter(inside).collect();
     ensure!(!frames.is_empty(), "--frames: none of them is finished; this run has {:?}", run.frames);
+    let missing = run.thinned.iter().filter(|frame| inside(frame)).count();
+    if missing > 0 {
+        tracing::warn!("{missing} frames are left out: their Gaussians were not kept (--keep of the run)");
+    }
     Ok(frames)
 }
 

@@ -6,7 +6,7 @@ use ffgs_core::{Camera, Mask};
 use ffgs_method::{Fault, Points, Split, ViewAt};
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// A capture that counts how often each image and mask is opened, and hides their files, so that nothing else opens them.
 #[derive(Debug)]
@@ -109,6 +109,8 @@ fn request(out: &Path, gpus: &[usize], frames: usize, resume: bool) -> RunReques
         frames: Some(FrameRange { start: 0, end: Some(frames) }),
         train_views: Some(["trk000", "trk004", "trk008"].map(str::to_owned).to_vec()),
         first_frame: None,
+        refine_first: None,
+        keep: None,
         device: Device::Gpu(gpus.to_vec()),
         quiet: true,
         config,

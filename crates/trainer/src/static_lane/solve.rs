@@ -24,22 +24,24 @@ pub(super) fn solve(
     known: &mut Vec<ColourVariance>,
     report: &mut dyn FnMut(Progress),
 ) {
-    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
-    let mut residual = |view: &TrainingView| {
-        let background = behind.render(sky, &view.camera);
-        residual(view, layer, background, config.mask_dilation, &mut tape)
-    };
-    let residuals: Vec<Residual> = views.iter().map(&mut residual).collect();
-    drop((tape, behind));
+    let seen = compare(config, traces, views, sky, layer);
     predict(config, layer.len(), known);
-    let system = System::new(config, traces, &residuals, layer, known);
+    let system = System::new(config, traces, &seen.counted, layer, known);
     let mut running = Running::default();
-    let counted = residuals.iter().map(Residual::count).sum::<usize>().max(1) as f64 * 3.0;
+    let values = seen.counted.iter().flatten().filter(|c| **c).count().max(1) as f64 * 3.0;
     let diagonal = system.diagonal();
-    let change = system.conjugate_gradients(&diagonal, config.solve_iterations, |iteration, squares| {
-        running.add(squares / counted, squares / counted);
-        report(running.progress(iteration, config.solve_iterations, layer.len()));
-    });
+    let (right, squares) = (system.gather(&seen.back), seen.squares);
+    drop(seen.back);
+    let change = system.conjugate_gradients(
+        &diagonal,
+        right,
+        squares,
+        config.solve_iterations,
+        |iteration, squares| {
+            running.add(squares / values, squares / values);
+            report(running.progress(iteration, config.solve_iterations, layer.len()));
+        },
+    );
     system.learn(config, &diagonal, known);
     let (stride, coefficients) = (layer.sh_stride(), system.coefficients);
     for (sh, x) in layer.sh.chunks_exact_mut(stride).zip(change.chunks_exact(coefficients)) {
@@ -76,9 +78,58 @@ struct Residual {
 }
 
 impl Residual {
-    fn count(&self) -> usize {
-        self.counted.iter().filter(|c| **c).count()
+    /// `A^T` of it as far as one view goes: over (seen).
+    fn sent_back(&self, trace: &ViewTrace) -> Vec<Vec3> {
+        let mut back = vec![Vec3::ZERO; trace.seen.len()];
+        for (pixel, &value) in self.values.iter().enumerate().filter(|(_, value)| **value != Vec3::ZERO) {
+            trace.of(pixel).iter().for_each(|&(at, w)| back[at as usize] += w * value);
+        }
+        back
     }
+
+    fn squares(&self) -> f64 {
+        self.values.iter().map(|r| f64::from(r.length_squared())).sum()
+    }
+}
+
+/// What the photographs say about the renders.
+struct Compared {
+    /// Over (view, seen): what the residuals send back.
+    back: Vec<Vec3>,
+    /// Sum of the squared residuals.
+    squares: f64,
+    /// (views, pixels) those outside the masks.
+    counted: Vec<Vec<bool>>,
+}
+
+/// Renders all views, a few at a time, and keeps of their residuals what the solve needs.
+fn compare(
+    config: &BackgroundConfig,
+    traces: &[ViewTrace],
+    views: &[TrainingView],
+    sky: &SkyCube,
+    layer: &Gaussians,
+) -> Compared {
+    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
+    let mut out = Compared { back: Vec::new(), squares: 0.0, counted: Vec::with_capacity(views.len()) };
+    out.back.reserve_exact(traces.iter().map(|t| t.seen.len()).sum());
+    let together = rayon::current_num_threads();
+    for (views, traces) in views.chunks(together).zip(traces.chunks(together)) {
+        let render = |view: &TrainingView| {
+            let background = behind.render(sky, &view.camera);
+            residual(view, layer, background, config.mask_dilation, &mut tape)
+        };
+        let residuals: Vec<Residual> = views.iter().map(render).collect();
+        let sent =
+            |(residual, trace): (&Residual, &ViewTrace)| (residual.sent_back(trace), residual.squares());
+        let parts: Vec<(Vec<Vec3>, f64)> = residuals.par_iter().zip(traces).map(sent).collect();
+        for ((back, squares), residual) in parts.into_iter().zip(residuals) {
+            out.back.extend(back);
+            out.squares += squares;
+            out.counted.push(residual.counted);
+        }
+    }
+    out
 }
 
 fn residual(
@@ -101,7 +152,8 @@ fn residual(
 /// The normal equations, never formed: `(A^T A + ridge) x = A^T r`. Vectors are (N, coefficients) of RGB.
 struct System<'a> {
     traces: &'a [ViewTrace],
-    residuals: &'a [Residual],
+    /// (views, pixels) those outside the masks.
+    counted: &'a [Vec<bool>],
     gaussians: usize,
     coefficients: usize,
     /// Where each view's seen Gaussians start in columns over (view, seen).
@@ -118,7 +170,7 @@ impl<'a> System<'a> {
     fn new(
         config: &BackgroundConfig,
         traces: &'a [ViewTrace],
-        residuals: &'a [Residual],
+        counted: &'a [Vec<bool>],
         layer: &Gaussians,
         known: &[ColourVariance],
     ) -> Self {
@@ -128,7 +180,7 @@ impl<'a> System<'a> {
         let ridge = known.iter().map(|v| v.map(|v| config.solve_noise.powi(2) / v)).collect();
         let places = invert(traces, layer.len());
         let clamp_slopes = traces.iter().flat_map(|t| clamp_slopes(t, layer)).collect();
-        Self { traces, residuals, gaussians: layer.len(), coefficients, offsets, places, clamp_slopes, ridge }
+        Self { traces, counted, gaussians: layer.len(), coefficients, offsets, places, clamp_slopes, ridge }
     }
 
     /// Runs `visit(view, pixel, colour sums)` over all pixels to get what is sent back, and returns `A^T` of it.
@@ -164,7 +216,7 @@ impl<'a> System<'a> {
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
             for &place in self.places_of(i) {
                 let sent = back[place as usize] * self.clamp_slopes[place as usize];
-                out.iter_mut().zip(self.basis(place as usize)).for_each(|(o, &b)| *o += b * sent);
+                out.iter_mut().zip(&self.basis(place as usize)).for_each(|(o, &b)| *o += b * sent);
             }
         });
         out
@@ -174,10 +226,9 @@ impl<'a> System<'a> {
         &self.places.1[self.places.0[i] as usize..self.places.0[i + 1] as usize]
     }
 
-    fn basis(&self, place: usize) -> &[f32] {
+    fn basis(&self, place: usize) -> [f32; 16] {
         let view = self.offsets.partition_point(|&o| o <= place) - 1;
-        let at = place - self.offsets[view];
-        &self.traces[view].basis[at * self.coefficients..(at + 1) * self.coefficients]
+        self.traces[view].basis(place - self.offsets[view])
     }
 
     /// Colours over (view, seen) of coefficients `x`.
@@ -187,8 +238,7 @@ impl<'a> System<'a> {
             let start = self.offsets[v];
             let colour = move |(at, &i): (usize, &u32)| {
                 let x = &x[i as usize * k..(i as usize + 1) * k];
-                let basis = &trace.basis[at * k..(at + 1) * k];
-                let sum = x.iter().zip(basis).fold(Vec3::ZERO, |sum, (&x, &b)| sum + b * x);
+                let sum = x.iter().zip(&trace.basis(at)).fold(Vec3::ZERO, |sum, (&x, &b)| sum + b * x);
                 sum * self.clamp_slopes[start + at]
             };
             trace.seen.iter().enumerate().map(colour).collect::<Vec<_>>()
@@ -199,7 +249,7 @@ impl<'a> System<'a> {
     /// `(A^T A + ridge) x`.
     fn apply(&self, x: &[Vec3]) -> Vec<Vec3> {
         let counted = |v: usize, pixel: usize, sum: Vec3| {
-            if self.residuals[v].counted[pixel] { sum } else { Vec3::ZERO }
+            if self.counted[v][pixel] { sum } else { Vec3::ZERO }
         };
         let mut out = self.transpose(&self.colours(x), counted);
         let rows = out.chunks_exact_mut(self.coefficients).zip(x.chunks_exact(self.coefficients));
@@ -225,20 +275,21 @@ impl<'a> System<'a> {
     /// Diagonal of the normal equations, the preconditioner.
     fn diagonal(&self) -> Vec<Vec3> {
         let k = self.coefficients;
-        let mut squares: Vec<f32> = Vec::with_capacity(self.clamp_slopes.len());
-        for (v, trace) in self.traces.iter().enumerate() {
+        let of_view = |(trace, counted): (&ViewTrace, &Vec<bool>)| {
             let mut part = vec![0.0; trace.seen.len()];
-            for pixel in (0..trace.pixels()).filter(|&p| self.residuals[v].counted[p]) {
+            for pixel in (0..trace.pixels()).filter(|&p| counted[p]) {
                 trace.of(pixel).iter().for_each(|&(at, w)| part[at as usize] += w * w);
             }
-            squares.extend(part);
-        }
+            part
+        };
+        let squares: Vec<f32> =
+            self.traces.par_iter().zip(self.counted).map(of_view).collect::<Vec<_>>().concat();
         let mut out = vec![Vec3::ZERO; self.gaussians * k];
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
             out.iter_mut().enumerate().for_each(|(c, o)| *o = Vec3::splat(self.ridge[i][c.min(1)]));
             for &place in self.places_of(i) {
                 let s = squares[place as usize] * self.clamp_slopes[place as usize];
-                out.iter_mut().zip(self.basis(place as usize)).for_each(|(o, &b)| *o += b * b * s);
+                out.iter_mut().zip(&self.basis(place as usize)).for_each(|(o, &b)| *o += b * b * s);
             }
         });
         out
@@ -249,16 +300,11 @@ impl<'a> System<'a> {
     fn conjugate_gradients(
         &self,
         diagonal: &[Vec3],
+        right: Vec<Vec3>,
+        mut squares: f64,
         iterations: usize,
         mut report: impl FnMut(usize, f64),
     ) -> Vec<Vec3> {
-        let zero = vec![Vec3::ZERO; self.clamp_slopes.len()];
-        let right = self.transpose(&zero, |v, pixel, _| self.residuals[v].values[pixel]);
-        let mut squares: f64 = self
-            .residuals
-            .iter()
-            .map(|v| v.values.iter().map(|r| f64::from(r.length_squared())).sum::<f64>())
-            .sum();
         let mut x = vec![Vec3::ZERO; right.len()];
         let mut r = right;
         let mut direction: Vec<Vec3> = r.par_iter().zip(diagonal).map(|(&r, &d)| r / d).collect();
@@ -447,11 +493,7 @@ mod tests {
         let config = BackgroundConfig::default();
         let traces: Vec<ViewTrace> = views.iter().map(|v| ViewTrace::new(&v.camera, &layer, 16, 1)).collect();
         // Nothing is off and every pixel counts: the system must not depend on the errors.
-        let exact = |v: &TrainingView| {
-            let pixels = v.camera.size().pixels();
-            Residual { values: vec![Vec3::ZERO; pixels], counted: vec![true; pixels] }
-        };
-        let exact: Vec<Residual> = views.iter().map(exact).collect();
+        let exact: Vec<Vec<bool>> = views.iter().map(|v| vec![true; v.camera.size().pixels()]).collect();
         let mut known = Vec::new();
         predict(&config, layer.len(), &mut known);
         let system = System::new(&config, &traces, &exact, &layer, &known);

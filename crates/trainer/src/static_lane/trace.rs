@@ -1,4 +1,4 @@
-use ffgs_core::{Camera, Gaussians, sh_coefficients};
+use ffgs_core::{Camera, Gaussians};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
 use glam::Vec3;
 
@@ -11,8 +11,9 @@ pub(super) struct ViewTrace {
     pub(super) camera: Camera,
     /// Gaussians that colour a pixel, ascending.
     pub(super) seen: Vec<u32>,
-    /// (seen, coefficients) SH basis in the direction of each.
-    pub(super) basis: Vec<f32>,
+    /// (seen) unit vectors from the camera to each.
+    directions: Vec<Vec3>,
+    degree: usize,
     /// (pixels + 1) where each pixel's contributions start.
     starts: Vec<u32>,
     contributions: Vec<Contribution>,
@@ -37,8 +38,18 @@ impl ViewTrace {
             contributions.extend(present.map(|(&i, &w)| (place[i as usize], w)));
             starts.push(contributions.len() as u32);
         }
-        let basis = basis(camera, layer, &seen, degree);
-        Self { camera: *camera, seen, basis, starts, contributions }
+        let center = camera.center().as_vec3();
+        let direction = |&i: &u32| (Vec3::from(layer.means[i as usize]) - center).normalize_or_zero();
+        let directions = seen.iter().map(direction).collect();
+        let degree = degree.min(layer.sh_degree());
+        Self { camera: *camera, seen, directions, degree, starts, contributions }
+    }
+
+    /// SH basis in the direction of a Gaussian, by its place in `seen`; a quarter of the memory of the bases is what the
+    /// directions take.
+    #[inline]
+    pub(super) fn basis(&self, at: usize) -> [f32; 16] {
+        sh_basis(self.degree, self.directions[at])
     }
 
     /// Contributions to a pixel: place in `seen` and weight.
@@ -51,11 +62,4 @@ impl ViewTrace {
     pub(super) fn pixels(&self) -> usize {
         self.starts.len() - 1
     }
-}
-
-fn basis(camera: &Camera, layer: &Gaussians, seen: &[u32], degree: usize) -> Vec<f32> {
-    let degree = degree.min(layer.sh_degree());
-    let center = camera.center().as_vec3();
-    let of = |&i: &u32| sh_basis(degree, (Vec3::from(layer.means[i as usize]) - center).normalize_or_zero());
-    seen.iter().flat_map(|i| of(i).into_iter().take(sh_coefficients(degree))).collect()
 }

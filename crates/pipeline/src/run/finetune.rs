@@ -1,0 +1,78 @@
+//! The three lanes of a frame.
+
+use super::Job;
+use crate::console::Console;
+use crate::knowledge::{self, Predicted};
+use anyhow::Result;
+use ffgs_core::{Scene, StageLog, TrainingView};
+use ffgs_trainer::{DynamicLaneConfig, Prior, StaticLane, StaticTargets, Surroundings};
+use std::sync::Arc;
+use std::time::Instant;
+
+impl Job<'_> {
+    /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
+    pub(super) fn finetune(
+        &self,
+        (frame, dynamic_lane): (usize, &DynamicLaneConfig),
+        scene: &mut Scene,
+        (static_lane, prior): (&mut StaticLane, Option<Prior>),
+        views: &[TrainingView],
+        console: &Console,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let (config, devices) = (self.config(), self.devices());
+        let seed = self.seed(frame);
+        let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
+        let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
+        let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
+        let dynamic_bar = console.lane("dynamic", dynamic_lane.iterations);
+        let static_bar = console.lane("static", config.background.static_passes());
+        let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
+            let start = Instant::now();
+            work().map(|()| start.elapsed().as_secs_f64())
+        };
+        let background = &config.background;
+        let (dynamic_s, static_s, sky_s) = devices.together(
+            || {
+                timed(&mut || {
+                    let layer = &mut dynamic.gaussians;
+                    devices.dynamic(dynamic_lane, views, around, layer, seed, &mut |p| dynamic_bar.show(p))
+                })
+            },
+            || {
+                timed(&mut || {
+                    let targets = StaticTargets { views, sky: &sky_start };
+                    let report = &mut |p| static_bar.show(p);
+                    let layer = (&mut *static_layer, &mut *static_colours);
+                    devices.static_layer(static_lane, background, targets, layer, seed, report)
+                })
+            },
+            || timed(&mut || devices.sky(background, views, &static_start, sky, seed)),
+        );
+        log.add_seconds("dynamic", dynamic_s?);
+        log.add_seconds("static", static_s?);
+        log.add_seconds("sky", sky_s?);
+        Ok(())
+    }
+
+    /// Finetunes a frame that was taken from another run, which had trained it less.
+    pub(super) fn refine(
+        &self,
+        frame: usize,
+        scene: &mut Scene,
+        views: &[TrainingView],
+        iterations: usize,
+        console: &Console,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let dynamic_lane = DynamicLaneConfig { iterations, ..self.config().dynamic };
+        let predicted = Predicted::new(scene, &dynamic_lane);
+        let known = predicted.as_ref().map(Predicted::prior);
+        let lanes = (&mut StaticLane::default(), known);
+        self.finetune((frame, &dynamic_lane), scene, lanes, views, console, log)?;
+        let start = Instant::now();
+        knowledge::learn(scene, predicted.as_ref(), views);
+        log.since("information", start);
+        Ok(())
+    }
+}

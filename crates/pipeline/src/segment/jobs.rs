@@ -1,0 +1,135 @@
+//! The jobs of a plan, each an ordinary run that goes on where it was stopped.
+
+use super::plan::Plan;
+use crate::device::Device;
+use crate::folder::RunFolder;
+use crate::request::{FrameRange, RunRequest};
+use crate::terminal;
+use anyhow::{Result, ensure};
+use ffgs_trainer::StaticMethod;
+use std::num::NonZeroUsize;
+use std::ops::Range;
+use std::str::FromStr;
+
+/// A job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Job {
+    /// The first frame.
+    First,
+    /// The moving layer at every key frame.
+    Scout,
+    /// A part.
+    Part(usize),
+}
+
+impl FromStr for Job {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "first" => Ok(Self::First),
+            "scout" => Ok(Self::Scout),
+            number => number
+                .parse()
+                .map(Self::Part)
+                .map_err(|_| format!("'{text}' is neither first nor scout nor the number of a part")),
+        }
+    }
+}
+
+/// Does every job that is not finished, one after another.
+///
+/// # Errors
+/// When one fails; those before it are finished.
+pub(super) fn run_all(plan: &Plan, device: &Device, quiet: bool) -> Result<()> {
+    let scout = (!plan.scouted().is_empty()).then_some(Job::Scout);
+    let parts = (0..plan.parts().len()).map(Job::Part);
+    [Job::First].into_iter().chain(scout).chain(parts).try_for_each(|job| run_job(plan, job, device, quiet))
+}
+
+/// Does a job, or what is left of it.
+///
+/// # Errors
+/// When what it starts from is not finished, or it fails.
+pub(super) fn run_job(plan: &Plan, job: Job, device: &Device, quiet: bool) -> Result<()> {
+    let work = work(plan, job, device)?;
+    let folder = RunFolder(work.out.clone());
+    let frames = work.frames.unwrap_or_default();
+    let end = frames.end.unwrap_or(frames.start + 1);
+    if !quiet {
+        terminal::note(format!("{}: frames {}..{end}", folder.0.display(), frames.start));
+    }
+    if folder.state(end - 1).exists() && folder.0.join("report.html").exists() {
+        return Ok(());
+    }
+    crate::run::run(&RunRequest { quiet, ..work }).map(|_| ())
+}
+
+/// The job as a run.
+fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
+    let first = plan.frames.start;
+    let request = |out: RunFolder, frames: Range<usize>| RunRequest {
+        capture: plan.capture.clone(),
+        out: out.0,
+        resume: true,
+        method: None,
+        frames: Some(FrameRange { start: frames.start, end: Some(frames.end) }),
+        train_views: plan.train_views.clone(),
+        first_frame: None,
+        refine_first: None,
+        keep: None,
+        device: device.clone(),
+        quiet: false,
+        config: plan.config,
+    };
+    match job {
+        Job::First => Ok(request(plan.first(), first..first + 1)),
+        Job::Scout => {
+            ensure!(!plan.scouted().is_empty(), "the plan has one part and needs no scout");
+            require(plan, &plan.first(), first, "first")?;
+            let mut run = request(plan.scout(), plan.scouted());
+            run.first_frame = Some(plan.first().0);
+            // Parts start from the key frames alone.
+            run.keep = NonZeroUsize::new(plan.length);
+            run.config.dynamic.iterations = plan.scout_iterations;
+            // The static layer and the sky are those of the first frame.
+            run.config.background.static_method = StaticMethod::Steps;
+            run.config.background.static_iterations = 0;
+            run.config.background.sky_iterations = 0;
+            run.config.disocclusion.iterations = 0;
+            Ok(run)
+        }
+        Job::Part(number) => {
+            let parts = plan.parts();
+            ensure!(number < parts.len(), "--only {number}: the plan has the parts 0 to {}", parts.len() - 1);
+            let (from, name) = if number == 0 { (plan.first(), "first") } else { (plan.scout(), "scout") };
+            require(plan, &from, parts[number].start, name)?;
+            let mut run = request(plan.part(number), parts[number].clone());
+            run.first_frame = Some(from.0);
+            run.refine_first = (number > 0).then_some(plan.key_iterations);
+            Ok(run)
+        }
+    }
+}
+
+fn require(plan: &Plan, run: &RunFolder, frame: usize, job: &str) -> Result<()> {
+    ensure!(
+        run.state(frame).exists(),
+        "frame {frame} of the job `{job}`, from which this one starts, is not finished; run `ffgs segment run {} --only {job}` \
+         first",
+        plan.folder.display()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_has_a_name() {
+        assert_eq!("first".parse(), Ok(Job::First));
+        assert_eq!("12".parse(), Ok(Job::Part(12)));
+        assert!("last".parse::<Job>().unwrap_err().contains("neither"));
+    }
+}
