@@ -81,6 +81,20 @@ const tests = {
         await page.keyboard.press(']');
         await press(page, 'compare');
         await page.waitForFunction(() => !document.getElementById('photo').hidden && document.getElementById('photograph').naturalWidth > 0);
+        const photograph = page.locator('#photograph');
+        const before = (await photograph.screenshot()).toString('base64');
+        const middle = await page.evaluate(() => {
+            const view = globalThis.player.view();
+            view.exposure = [2, 0, -2];
+            globalThis.player.showPhotograph();
+            delete view.exposure;
+            return [...document.querySelectorAll('#exposure feComponentTransfer > *')].map((f) => Number(f.getAttribute('tableValues').split(' ')[32]));
+        });
+        // Odds of one half, divided by e^2, by 1 and by e^-2.
+        check(middle.every((v, c) => Math.abs(v - [0.1192, 0.5, 0.8808][c]) < 1e-3), `exposures of ${middle}`);
+        check((await photograph.screenshot()).toString('base64') !== before, 'the exposure of the photograph stayed');
+        await page.evaluate(() => globalThis.player.showPhotograph());
+        check((await photograph.screenshot()).toString('base64') === before, 'a photograph without an exposure is changed');
         await page.keyboard.press('.');
         for (const [overlay, legend] of [['uncertainty', 'standard deviation'], ['motion', 'per second']]) {
             await page.selectOption('#overlay', overlay);

@@ -1,6 +1,8 @@
 //! `cameras.json`: the cameras of a capture, for the page that plays a stream.
 
+use crate::exposures::Exposures;
 use anyhow::Result;
+use ffgs_core::Exposure;
 use ffgs_method::{Capture, Split, ViewAt};
 use serde::Serialize;
 
@@ -24,15 +26,21 @@ struct ViewOf {
     world_from_camera: Vec<[f64; 12]>,
     /// Per frame, where the page has them.
     photographs: Option<Vec<String>>,
+    /// Offsets of the log odds of red, green, blue in the photographs, where cameras differ.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposure: Option<[f64; 3]>,
 }
 
 impl Views {
     /// The training and test cameras, those that cannot be read left out.
-    pub(crate) fn of(capture: &dyn Capture, with_photographs: bool) -> Result<Self> {
+    pub(crate) fn of(capture: &dyn Capture, exposures: &Exposures, with_photographs: bool) -> Result<Self> {
         let mut views = Vec::new();
         for split in [Split::Test, Split::Train] {
             for (index, name) in capture.views(split).iter().enumerate() {
-                views.extend(view_of(capture, split, index, name, with_photographs)?);
+                let view = view_of(capture, split, index, name, with_photographs)?;
+                let exposure = exposures.of(capture, ViewAt { split, view: index, frame: 0 })?;
+                let exposure = (exposure != Exposure::NEUTRAL).then_some(exposure.offsets);
+                views.extend(view.map(|view| ViewOf { exposure, ..view }));
             }
         }
         Ok(Self { views })
@@ -73,5 +81,6 @@ fn view_of(
         cy: lens.cy,
         world_from_camera: poses,
         photographs: with_photographs.then_some(photographs),
+        exposure: None,
     }))
 }

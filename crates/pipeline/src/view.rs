@@ -3,6 +3,7 @@
 use crate::args::LogArgs;
 use crate::cameras::Views;
 use crate::export::stream::{StreamExport, StreamOptions};
+use crate::exposures::Exposures;
 use crate::finished_run::FinishedRun;
 use crate::folder::RunFolder;
 use crate::json::read_json;
@@ -52,7 +53,8 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
     if run.manifest().exists() {
         let manifest: Manifest = read_json(&run.manifest())?;
         let stream = run.inside(&["export", "stream"])?;
-        let viewer = serve(Some(open_capture(&manifest.capture_path)?), &stream, args.port)?;
+        let capture = open_capture(&manifest.capture_path)?;
+        let viewer = serve(Some((capture, Exposures::read(&run)?)), &stream, args.port)?;
         follow(folder, &stream);
         viewer.wait();
     } else if folder.join("manifest.json").exists() {
@@ -63,7 +65,7 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
         })?;
         let stream = tempfile::tempdir()?;
         write_points(&*capture, stream.path())?;
-        serve(Some(capture), stream.path(), args.port)?.wait();
+        serve(Some((capture, Exposures::default())), stream.path(), args.port)?.wait();
     }
     Ok(())
 }
@@ -74,22 +76,24 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
 /// When the capture cannot be opened, or the page's engine is not there.
 pub(crate) fn beside(request: &RunRequest) -> Result<Viewer> {
     let stream = request.out.join("export").join("stream");
-    let viewer = serve(Some(open_capture(&request.capture)?), &stream, 0)?;
+    // Which exposures differ is not known before the first frame is trained.
+    let capture = (open_capture(&request.capture)?, Exposures::default());
+    let viewer = serve(Some(capture), &stream, 0)?;
     let folder = request.out.clone();
     std::thread::spawn(move || follow(&folder, &stream));
     Ok(viewer)
 }
 
 /// The page with the stream in a folder, the cameras of a capture and their photographs.
-fn serve(capture: Option<Box<dyn Capture>>, stream: &Path, port: u16) -> Result<Viewer> {
+fn serve(capture: Option<(Box<dyn Capture>, Exposures)>, stream: &Path, port: u16) -> Result<Viewer> {
     let engine = engine()?;
     let mut site = FILES.iter().fold(Site::default(), |site, (name, bytes)| {
         site.with(name, Source::Bytes(bytes.as_bytes().to_vec()))
     });
     site = site
         .with(ENGINE, Source::Bytes(std::fs::read(&engine).with_context(|| engine.display().to_string())?));
-    if let Some(capture) = capture {
-        let views = Views::of(&*capture, true)?;
+    if let Some((capture, exposures)) = capture {
+        let views = Views::of(&*capture, &exposures, true)?;
         site = site.with("cameras.json", Source::Bytes(serde_json::to_vec(&views)?));
         site = site.with("photo", Source::Lookup(Box::new(move |name| photograph(&*capture, name))));
     }

@@ -265,7 +265,19 @@ class Player {
         const box = this.fit(view.width, view.height);
         Object.assign($('photo').style, { left: `${box.x}px`, top: `${box.y}px`, width: `${view.width * box.scale}px`, height: `${view.height * box.scale}px` });
         if (!$('photograph').src.endsWith(name)) $('photograph').src = name;
+        expose(view.exposure);
     }
+}
+
+/** Shows the photograph in the exposure that all cameras share, which the page renders: `offsets` of its log odds are removed. */
+function expose(offsets) {
+    const value = (offset, v) => v / (v + (1 - v) * Math.exp(offset));
+    const steps = Array.from({ length: 65 }, (_, i) => i / 64);
+    (offsets ?? []).forEach((offset, c) => {
+        const table = steps.map((v) => value(offset, v)).join(' ');
+        document.querySelectorAll('#exposure feComponentTransfer > *')[c].setAttribute('tableValues', table);
+    });
+    $('photograph').style.filter = offsets ? 'url(#exposure)' : '';
 }
 
 /** Median position of the opaque half of a layer. */

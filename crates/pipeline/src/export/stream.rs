@@ -63,7 +63,7 @@ pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> R
     StreamExport::open(&run, out, &options)?.catch_up(&run, args.log.quiet)?;
     if with_page {
         write_page(out)?;
-        write_json(&out.join("cameras.json"), &Views::of(&*run.capture, false)?)?;
+        write_json(&out.join("cameras.json"), &Views::of(&*run.capture, &run.exposures, false)?)?;
     }
     let mut reader = Reader::open(out)?;
     terminal::print(bytes_table(reader.entries()).trim_end());
