@@ -45,6 +45,8 @@ pub struct FusionConfig {
     pub prior: PriorModel,
     /// Extent of the median q.
     pub q_mode: ProcessNoise,
+    /// Least q (px at the Gaussians' median depth), without structure; 0 = literal.
+    pub q_floor_px: f64,
     /// Squared Mahalanobis distance to the fused estimate beyond which a tracker's estimate is left out (the worst
     /// first); 0 = no gate (literal). 16.3 keeps 99.9 % of consistent estimates.
     pub gate: f64,
@@ -63,6 +65,7 @@ impl Default for FusionConfig {
         Self {
             prior: PriorModel::default(),
             q_mode: ProcessNoise::default(),
+            q_floor_px: 0.25,
             gate: 0.0,
             correlation_inflation: 1.0,
             structure: Structure::default(),
@@ -75,6 +78,6 @@ impl Default for FusionConfig {
 impl FusionConfig {
     /// Our most literal reading of Algorithm 1.
     pub fn literal() -> Self {
-        Self { structure: Structure::None, ..Self::default() }
+        Self { structure: Structure::None, q_floor_px: 0.0, ..Self::default() }
     }
 }

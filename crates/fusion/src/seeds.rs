@@ -157,7 +157,7 @@ mod tests {
     use glam::{DMat3, DMat4};
 
     const SIZE: ImageSize = ImageSize { width: 120, height: 90 };
-    const SLACK: Slack = Slack { views: 0, share: 0.2 };
+    const SLACK: Slack = Slack { views: 0, share: 0.2, all_views: false };
 
     /// On a circle of radius 4 m around the origin, over an arc (rad), looking at it.
     fn arc(count: usize, angle: f64) -> Vec<Camera> {

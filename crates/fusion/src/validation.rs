@@ -14,6 +14,8 @@ pub struct Slack {
     pub views: u32,
     /// And this share of those that see it, rounded down: one occluder stands before a share of the cameras.
     pub share: f64,
+    /// Whether those that do not see it have it outside, too (Algorithm 1's V, word for word).
+    pub all_views: bool,
 }
 
 impl Slack {
@@ -90,9 +92,14 @@ impl Silhouettes {
     pub fn hold(&self, means: &[DVec3]) -> Result<Vec<bool>, FusionError> {
         let counts = count_views(means, &self.cameras, &self.masks)?;
         let narrowly = count_views(means, &self.cameras, &self.wide)?;
+        let voters = |count: ViewCounts| {
+            let seen = if self.slack.all_views { self.cameras.len() as u32 } else { count.seen };
+            ViewCounts { seen, ..count }
+        };
         let held = |(count, wide): (&ViewCounts, ViewCounts)| {
+            let [count, wide] = [*count, wide].map(voters);
             let narrow = count.seen >= FEW && wide.inside == wide.seen && count.inside + 1 == count.seen;
-            validate(*count, self.slack) || narrow
+            validate(count, self.slack) || narrow
         };
         Ok(counts.iter().zip(narrowly).map(held).collect())
     }

@@ -10,14 +10,14 @@ use glam::{DMat3, DMat4, DVec3};
 
 #[test]
 fn validity_needs_all_but_slack_of_the_views_that_see_the_point() {
-    let two = Slack { views: 2, share: 0.0 };
+    let two = Slack { views: 2, share: 0.0, all_views: false };
     let valid = |inside, seen| validate(ViewCounts { inside, seen }, two);
     assert!(valid(8, 10) && !valid(7, 10) && valid(1, 1) && !valid(0, 1) && !valid(0, 0));
 }
 
 #[test]
 fn a_share_of_the_views_fits_four_cameras_and_three_hundred() {
-    let fifth = Slack { views: 0, share: 0.2 };
+    let fifth = Slack { views: 0, share: 0.2, all_views: false };
     let valid = |inside, seen| validate(ViewCounts { inside, seen }, fifth);
     assert!(!valid(3, 4) && valid(4, 4), "four cameras: all of them");
     assert!(valid(8, 10) && !valid(7, 10), "ten: as Algorithm 1");
@@ -46,7 +46,7 @@ fn ring(views: usize, shown: impl Fn(usize) -> bool) -> (Vec<Camera>, Vec<Mask>)
 
 #[test]
 fn background_in_one_mask_cone_of_four_is_not_held() {
-    let fifth = Slack { views: 0, share: 0.2 };
+    let fifth = Slack { views: 0, share: 0.2, all_views: false };
     let (cameras, masks) = ring(4, |_| true);
     let silhouettes = Silhouettes::new(&cameras, &masks, 2, fifth).unwrap();
     // The last one is narrowly missed by the cameras that see it from the side.
@@ -56,8 +56,22 @@ fn background_in_one_mask_cone_of_four_is_not_held() {
 }
 
 #[test]
+fn views_that_do_not_see_a_gaussian_disagree_when_all_count() {
+    let (mut cameras, mut masks) = ring(4, |_| true);
+    // A fifth camera looks away, at something of its own.
+    let away = DMat4::from_rotation_y(std::f64::consts::PI) * cameras[0].camera_from_world();
+    cameras.push(Camera::new(cameras[0].intrinsics(), away, cameras[0].size()).unwrap());
+    masks.push(masks[0].clone());
+    let hold = |views, all_views| {
+        let slack = Slack { views, share: 0.0, all_views };
+        Silhouettes::new(&cameras, &masks, 2, slack).unwrap().hold(&[DVec3::ZERO]).unwrap()
+    };
+    assert_eq!([hold(0, false), hold(0, true), hold(1, true)], [[true], [false], [true]]);
+}
+
+#[test]
 fn a_mask_that_flickers_has_no_say() {
-    let fifth = Slack { views: 0, share: 0.2 };
+    let fifth = Slack { views: 0, share: 0.2, all_views: false };
     let (cameras, masks) = ring(6, |v| v != 2 && v != 3);
     let means: Vec<DVec3> = (0..60).map(|i| DVec3::new(0.0, 0.01 * f64::from(i % 20), 0.0)).collect();
     let mut silhouettes = Silhouettes::new(&cameras, &masks, 2, Slack { share: 0.4, ..fifth }).unwrap();
@@ -77,7 +91,7 @@ fn empty_masks_have_no_say_in_the_split() {
     centre[10 * 20 + 10] = 1;
     let masks = [Mask::new(size, centre).unwrap(), Mask::filled(size, false)];
     let means = [DVec3::new(0.0, 0.0, 4.0), DVec3::new(0.5, 0.0, 4.0), DVec3::new(1.5, 0.0, 4.0)];
-    let none = Slack { views: 0, share: 0.0 };
+    let none = Slack { views: 0, share: 0.0, all_views: false };
     let split = Silhouettes::new(&[camera, camera], &masks, 2, none).unwrap().hold(&means).unwrap();
     assert_eq!(split, [true, true, false]);
     assert!(matches!(Silhouettes::new(&[camera], &masks, 2, none), Err(FusionError::Masks { .. })));

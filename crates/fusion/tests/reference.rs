@@ -59,7 +59,7 @@ fn validation_counts_match() {
         .map(|m| Mask::new(size, m.iter().map(|&v| v as u8).collect()).unwrap())
         .collect();
     let counts = count_views(&case.points("means"), &cameras, &masks).unwrap();
-    let slack = Slack { views: case.scalar("slack") as u32, share: 0.0 };
+    let slack = Slack { views: case.scalar("slack") as u32, share: 0.0, all_views: false };
     let column = |f: fn(u32, u32, bool) -> f64| {
         counts.iter().map(|c| f(c.inside, c.seen, validate(*c, slack))).collect::<Vec<_>>()
     };

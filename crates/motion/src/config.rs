@@ -32,7 +32,7 @@ impl MotionConfig {
     pub fn literal() -> Self {
         let defaults = Self::default();
         Self {
-            marking: MarkingConfig { slack: 2, slack_share: 0.0, ..defaults.marking },
+            marking: MarkingConfig::literal(),
             voronoi: VoronoiConfig {
                 source_filter: SourceFilter::All,
                 use_visibility: false,
@@ -59,26 +59,52 @@ impl MotionConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkingConfig {
-    /// Pixels by which the mask is grown before marking at t = 0.
+    /// Pixels by which the masks are grown before marking and validation.
     pub dilation: usize,
     /// Views that may disagree, however many see it (Algorithm 1: 2).
     pub slack: u32,
     /// And share of the views that see it.
     pub slack_share: f64,
+    /// Whether views that do not see a Gaussian disagree.
+    pub all_views: bool,
+    /// Whether Gaussians outside the masks of t are placed once more by their neighbours' motion, many that are lost at once wait for the next frame,
+    /// and masks that flicker have no say.
+    pub second_chance: bool,
+    /// Whether both layers are marked again at t-1 in every frame.
+    pub every_frame: bool,
     /// Share of the dynamic layer lost in one frame beyond which the run warns.
     pub loss_warning: f64,
 }
 
 impl Default for MarkingConfig {
     fn default() -> Self {
-        Self { dilation: 2, slack: 0, slack_share: 0.2, loss_warning: 0.2 }
+        Self {
+            dilation: 2,
+            slack: 0,
+            slack_share: 0.2,
+            all_views: false,
+            second_chance: true,
+            every_frame: false,
+            loss_warning: 0.2,
+        }
     }
 }
 
 impl MarkingConfig {
+    /// Our most literal reading of Algorithm 1, lines 2 and 35 to 40.
+    pub fn literal() -> Self {
+        let (second_chance, every_frame) = (false, true);
+        Self { dilation: 0, slack: 2, slack_share: 0.0, second_chance, every_frame, ..Self::default() }
+    }
+
+    /// Whether both mark the same Gaussians in the first frame.
+    pub fn marks_as(&self, other: &Self) -> bool {
+        (self.dilation, self.slack()) == (other.dilation, other.slack())
+    }
+
     /// The views that may disagree.
     pub fn slack(&self) -> Slack {
-        Slack { views: self.slack, share: self.slack_share }
+        Slack { views: self.slack, share: self.slack_share, all_views: self.all_views }
     }
 }
 
@@ -97,6 +123,8 @@ pub struct AssociationConfig {
     pub min_transmittance: f32,
     /// Gaussians that each pixel counts for, the heaviest, at most 64, as each takes memory and time per pixel; 0 = all.
     pub contributors: usize,
+    /// Whether the flow under a footprint is its mean, weighted by the blending weights; else the sum.
+    pub normalise: bool,
     /// Whether what cannot be in a view's image at t is left unobserved there.
     pub withdraw_unseen: bool,
     /// What turns with the rigid motion.
@@ -124,6 +152,7 @@ impl Default for AssociationConfig {
             min_hits: 2,
             min_transmittance: 1e-2,
             contributors: 0,
+            normalise: true,
             withdraw_unseen: true,
             rotate: Rotate::default(),
         }

@@ -73,7 +73,7 @@ pub(crate) fn fuse(
         previous_steps: Some(dynamic.known_steps().unwrap_or(&standing)),
         groups: objects.as_deref(),
         last_q: dynamic.q,
-        q_floor_m: 0.25 * typical_size(&mut pixel_m),
+        q_floor_m: input.config.fusion.q_floor_px * typical_size(&mut pixel_m),
         observed: Some(ViewObservations { cameras: &cameras, observations }),
         flexibility: dynamic.known_flexibility(),
     };

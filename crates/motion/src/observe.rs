@@ -61,6 +61,7 @@ fn association<'a>(
         min_hits: config.min_hits,
         min_transmittance: config.min_transmittance,
         contributors: config.contributors,
+        normalise: config.normalise,
     }
 }
 

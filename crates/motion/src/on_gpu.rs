@@ -79,7 +79,7 @@ impl OnDevice<'_> {
             }
             if let Some(projection) = view.camera.project(mean) {
                 for (row, sums) in rows.iter_mut().zip(values[1..].as_chunks::<4>().0) {
-                    row.take(i, projection.pixel, *sums, config.min_coverage);
+                    row.take(i, projection.pixel, *sums, config.min_coverage, config.normalise);
                 }
             }
         }

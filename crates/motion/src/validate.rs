@@ -7,7 +7,8 @@ use ffgs_fusion::{Silhouettes, second_chance};
 use glam::DVec3;
 use std::time::Instant;
 
-/// Lines 35 to 40: Gaussians outside the masks are placed once more, by their neighbours' motion, and removed if they are still outside.
+/// Lines 35 to 40: Gaussians outside the masks are removed; with `marking.second_chance` when their neighbours' motion does not
+/// bring them inside either.
 pub(crate) fn validate_positions(
     input: &MotionInput,
     dynamic: &mut Dynamic,
@@ -17,11 +18,13 @@ pub(crate) fn validate_positions(
     let mut means = dynamic.gaussians.positions();
     let silhouettes = silhouettes(input, &means, log)?;
     let mut valid = silhouettes.hold(&means)?;
-    second_chance(input.previous, &mut means, &mut dynamic.covariances, &valid)?;
-    // Only those that moved are looked at again.
-    let moved: Vec<usize> = (0..means.len()).filter(|&i| !valid[i]).collect();
-    let again = silhouettes.hold(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
-    moved.iter().zip(again).for_each(|(&i, now)| valid[i] = now);
+    if input.config.marking.second_chance {
+        second_chance(input.previous, &mut means, &mut dynamic.covariances, &valid)?;
+        // Only those that moved are looked at again.
+        let moved: Vec<usize> = (0..means.len()).filter(|&i| !valid[i]).collect();
+        let again = silhouettes.hold(&moved.iter().map(|&i| means[i]).collect::<Vec<_>>())?;
+        moved.iter().zip(again).for_each(|(&i, now)| valid[i] = now);
+    }
     let shown = silhouettes.shown(&means);
     let wait = doubts(input, dynamic, &valid, &shown, log);
     let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait && shown[i]).collect();
@@ -48,7 +51,7 @@ fn doubts(
 ) -> bool {
     let lost = valid.iter().zip(shown).filter(|(valid, shown)| !**valid && **shown).count();
     let many = lost as f64 > input.config.marking.loss_warning * valid.len() as f64;
-    let wait = many && !dynamic.masks_doubted;
+    let wait = many && !dynamic.masks_doubted && input.config.marking.second_chance;
     dynamic.masks_doubted = wait;
     if many {
         let what = if wait { "stay until the next frame agrees" } else { "go" };
@@ -63,7 +66,9 @@ fn silhouettes(input: &MotionInput, means: &[DVec3], log: &mut StageLog) -> Resu
     let views = input.step.now.iter();
     let (cameras, masks): (Vec<_>, Vec<_>) = views.map(|v| (v.camera, v.mask.clone())).unzip();
     let mut silhouettes = Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?;
-    let dropped = silhouettes.drop_flickering(means)?;
-    log.skip("masks without a say: they lack what all others hold", dropped);
+    if marking.second_chance {
+        let dropped = silhouettes.drop_flickering(means)?;
+        log.skip("masks without a say: they lack what all others hold", dropped);
+    }
     Ok(silhouettes)
 }

@@ -122,6 +122,15 @@ impl Config {
         .with_motion(&MotionConfig::literal())
     }
 
+    /// [`literal`](Self::literal), and word for word where that leaves no method: V counts the views that do not see a Gaussian, too,
+    /// and the flow under a footprint is the sum weighted by alpha, not the mean.
+    pub fn word_for_word() -> Self {
+        let mut config = Self::literal();
+        config.marking.all_views = true;
+        config.association.normalise = false;
+        config
+    }
+
     /// The settings of the motion initialisation.
     pub fn motion(&self) -> MotionConfig {
         MotionConfig {

@@ -30,8 +30,10 @@ enum Preset {
     /// What every option defaults to
     #[default]
     Default,
-    /// The defaults with our most literal reading of the paper's motion initialisation
+    /// The defaults with our most literal reading of the paper
     Literal,
+    /// The same, also where the paper's words leave no method: V counts all views, flow is summed
+    WordForWord,
 }
 
 /// Prints a configuration.
@@ -39,6 +41,7 @@ pub(crate) fn print(args: &ConfigArgs) -> Result<()> {
     let config = match args.preset {
         Preset::Default => Config::default(),
         Preset::Literal => Config::literal(),
+        Preset::WordForWord => Config::word_for_word(),
     };
     crate::terminal::print(format_args!("{HEAD}{}", commented(&config.to_toml()?).trim_end()));
     Ok(())

@@ -28,6 +28,7 @@ pub mod json;
 mod knowledge;
 pub mod lock;
 pub mod manifest;
+pub mod marking;
 mod measure;
 mod memory;
 pub mod method;

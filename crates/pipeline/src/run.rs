@@ -10,13 +10,14 @@ use crate::devices::Devices;
 use crate::disocclusion;
 use crate::exposures::Exposures;
 use crate::few_views::trial;
-use crate::first_frame::{sky_or_none, split};
+use crate::first_frame::sky_or_none;
 use crate::folder::RunFolder;
 use crate::frame::{init_views, load_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
 use crate::knowledge::{self, Predicted};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
+use crate::marking::{mark_again, split};
 use crate::memory;
 use crate::method::Parts;
 use crate::provenance::{checksums, frame_digest};
@@ -301,7 +302,7 @@ impl<'a> Job<'a> {
     fn taken_from(&self, run: &RunFolder, frame: usize, views: &[TrainingView]) -> Result<Scene> {
         let scene = state::load(&run.state(frame), frame).context("--first-frame")?;
         let other: Result<Manifest> = read_json(&run.manifest());
-        if other.is_ok_and(|other| other.config.marking == self.config().marking) {
+        if other.is_ok_and(|other| other.config.marking.marks_as(&self.config().marking)) {
             return Ok(scene);
         }
         tracing::info!("--first-frame: {} marked otherwise; its Gaussians are marked again", run.0.display());
@@ -375,6 +376,9 @@ impl<'a> Job<'a> {
             now: &now,
             tracks: &self.tracks,
         };
+        if self.config().marking.every_frame && method.births() {
+            self.mark_again(&mut scene, &before, static_lane, log)?;
+        }
         method
             .predict(&step, &mut scene, log)
             .with_context(|| self.named(&format!("prediction of frame {frame}")))?;
@@ -406,6 +410,26 @@ impl<'a> Job<'a> {
         log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
         let record = self.finish(frame, &scene, &tests, method, pictures, record)?;
         Ok((Last { scene, views: now, exposures }, record))
+    }
+
+    /// Which Gaussians move, decided anew by the masks of t-1.
+    fn mark_again(
+        &self,
+        scene: &mut Scene,
+        before: &[TrainingView],
+        static_lane: &mut StaticLane,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let Config { marking, background, .. } = self.config();
+        let [started, stopped] = mark_again(marking, background, scene, before)?;
+        if started + stopped > 0 {
+            static_lane.forget();
+        }
+        log.skip("static Gaussians that move from now on", started);
+        log.skip("moving Gaussians that stand still from now on", stopped);
+        log.since("marking", start);
+        Ok(())
     }
 
     /// Moving Gaussians where the masks are not explained.

@@ -67,6 +67,7 @@ fn the_heaviest_contributors_are_those_of_the_lists() {
         min_hits: 1,
         min_transmittance: 1e-4,
         contributors: CONTRIBUTORS,
+        normalise: true,
     };
     let scene = AssociationScene::new(&[&gaussians], &means);
     association.observe(&scene, &mut out, &mut AssociationScratch::default());

@@ -31,6 +31,8 @@ pub struct Association<'a> {
     pub min_transmittance: f32,
     /// Gaussians that each pixel counts for, those with the largest `alpha T`; 0 = all.
     pub contributors: usize,
+    /// Whether the flow under a footprint is its mean, weighted by `alpha T`; else the sum.
+    pub normalise: bool,
 }
 
 /// One tracker's observations of N Gaussians in one view; what is not observed stays as it is.
@@ -139,11 +141,11 @@ impl PixelChannels for Channels<'_> {
 
 impl Observed<'_> {
     /// Notes what the tracker says of Gaussian `i`, seen at `pixel`: `sums` under its footprint of `alpha T` where the
-    /// tracker knows the motion, times flow x and y (px), and times the weight.
-    pub fn take(&mut self, i: usize, pixel: DVec2, sums: [f32; 4], min_coverage: f32) {
+    /// tracker knows the motion, times flow x and y (px), and times the weight. The flow is the mean if `normalise`, else the sum.
+    pub fn take(&mut self, i: usize, pixel: DVec2, sums: [f32; 4], min_coverage: f32, normalise: bool) {
         let [coverage, x, y, weight] = sums.map(f64::from);
         if coverage > f64::from(min_coverage) && weight > 0.0 {
-            self.targets[i] = pixel + DVec2::new(x, y) / coverage;
+            self.targets[i] = pixel + DVec2::new(x, y) / if normalise { coverage } else { 1.0 };
             self.weights[i] = weight;
         }
     }
@@ -171,7 +173,13 @@ impl Association<'_> {
             let Some(projection) = self.camera.project(means[i]) else { return };
             for (out, place) in out.iter_mut().zip(&channels.places) {
                 let [x, y, weight] = [0, 1, 2].map(|c| values[place.first + c]);
-                out.take(i, projection.pixel, [values[place.coverage], x, y, weight], self.min_coverage);
+                out.take(
+                    i,
+                    projection.pixel,
+                    [values[place.coverage], x, y, weight],
+                    self.min_coverage,
+                    self.normalise,
+                );
             }
         });
     }
@@ -222,6 +230,7 @@ mod tests {
                 min_hits,
                 min_transmittance,
                 contributors,
+                normalise: true,
             }
             .observe(&scene, &mut out, &mut AssociationScratch::default());
             for ((targets, weights), pixels) in columns.iter().zip([4.0, 3.0]) {

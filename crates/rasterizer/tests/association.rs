@@ -53,6 +53,11 @@ fn scene(balls: &[Ball]) -> (Gaussians, Vec<DVec3>) {
 
 /// Targets (px) and weights of the first `moving` balls.
 fn observe(balls: &[Ball], moving: usize, contributors: usize) -> (Vec<DVec2>, Vec<f64>) {
+    observe_by(balls, moving, contributors, true)
+}
+
+/// Likewise, with the mean of the flow or its sum.
+fn observe_by(balls: &[Ball], moving: usize, contributors: usize, normalise: bool) -> (Vec<DVec2>, Vec<f64>) {
     let (gaussians, means) = scene(balls);
     let (mut targets, mut weights) = (vec![DVec2::ZERO; moving], vec![0.0; moving]);
     let association = Association {
@@ -64,6 +69,7 @@ fn observe(balls: &[Ball], moving: usize, contributors: usize) -> (Vec<DVec2>, V
         min_hits: 2,
         min_transmittance: 1e-4,
         contributors,
+        normalise,
     };
     let scene = AssociationScene::new(&[&gaussians], &means[..moving]);
     let mut out = [Observed { targets: &mut targets, weights: &mut weights }];
@@ -99,6 +105,19 @@ fn expected(heavier_alone: bool) -> [(DVec2, f64); 2] {
         }
     }
     [0, 1].map(|i| (CENTRE + moved[i] / coverage[i], weight[i]))
+}
+
+#[test]
+fn a_sum_of_flow_is_the_mean_times_the_coverage() {
+    let (mean, weight) = observe_by(&PAIR, 2, 0, true);
+    let (sum, same) = observe_by(&PAIR, 2, 0, false);
+    let all = (0..SIZE.pixels()).filter(|p| p % SIZE.width >= 12).map(|p| pair_at(centre_of(p)));
+    let coverage = all.fold([0.0; 2], |sum, a| [sum[0] + a[0], sum[1] + a[1]]);
+    assert_eq!(weight, same);
+    for i in 0..2 {
+        let expected = CENTRE + (mean[i] - CENTRE) * coverage[i];
+        assert!(sum[i].distance(expected) < 1e-3 * expected.length(), "{i}: {} for {expected} px", sum[i]);
+    }
 }
 
 fn assert_close(found: &(Vec<DVec2>, Vec<f64>), expected: &[(DVec2, f64)], tolerance: f64) {

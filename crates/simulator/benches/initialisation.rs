@@ -90,7 +90,8 @@ fn initialise(scene: &Scene) -> ([f64; STAGES.len()], f64) {
     watch.stop(5);
     let masks: Vec<Mask> = scene.views.par_iter().map(|v| v.mask_now.dilated(2)).collect();
     let counts = count_views(&means, &scene.cameras, &masks).expect("one size");
-    let valid: Vec<bool> = counts.into_iter().map(|c| validate(c, Slack { views: 0, share: 0.2 })).collect();
+    let valid: Vec<bool> =
+        counts.into_iter().map(|c| validate(c, Slack { views: 0, share: 0.2, all_views: false })).collect();
     second_chance(&scene.previous, &mut means.clone(), &mut fused.covariances.clone(), &valid)
         .expect("the columns match");
     watch.stop(6);
@@ -139,6 +140,7 @@ fn observe(scene: &Scene, watch: &mut Watch) -> Vec<Observations> {
                 min_hits: 2,
                 min_transmittance: 1e-2,
                 contributors: 0,
+                normalise: true,
             };
             let mut own = scratch.lock().expect("no panic").pop().unwrap_or_default();
             association.observe(&gaussians, out, &mut own);

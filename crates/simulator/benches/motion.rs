@@ -53,6 +53,7 @@ fn one_view(c: &mut Criterion) {
             min_hits: 2,
             min_transmittance: 1e-2,
             contributors: 0,
+            normalise: true,
         };
         group.bench_function(BenchmarkId::new("association", scale.label()), |b| {
             associate(b, &association, &whole);

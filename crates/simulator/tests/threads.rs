@@ -104,6 +104,7 @@ fn observe(scene: &Scene, fields: &[Vec<DenseMotion>], contributors: usize) -> V
             min_hits: 2,
             min_transmittance: 1e-2,
             contributors,
+            normalise: true,
         };
         let joint = AssociationScene::new(&[&scene.joint], &scene.previous);
         association.observe(&joint, &mut out, &mut AssociationScratch::default());

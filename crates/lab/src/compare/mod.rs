@@ -1,5 +1,6 @@
 //! `ffgs-lab compare`: methods on captures, each with its own schedule and at several budgets, as tables and curves.
 
+mod departures;
 mod page;
 mod plan;
 mod results;
@@ -28,6 +29,8 @@ What is compared:
   --methods all               the paper's method as it is here (trackers) and as printed (literal), no motion (none),
                               and every method of others
   --methods initialisations   trackers, none, and each tracker of the capture alone
+  --methods departures        trackers, literal, the same word for word, and trackers with each setting that departs from
+                              the paper as printed, one by one (without:KEY)
   --methods trackers,queen    these
   --methods all,dynamic3dgs@0.1   a method at a budget of its own, for one whose schedule takes too long
 

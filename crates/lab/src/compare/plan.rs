@@ -1,5 +1,6 @@
 //! What is compared: methods with their settings, and these at a budget.
 
+use super::departures;
 use anyhow::{Result, anyhow, ensure};
 use ffgs_method::Plugin;
 use ffgs_pipeline::choice::MethodChoice;
@@ -20,15 +21,20 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// Of a method's name, or of `literal`, the paper's method with our most literal reading of it; with `@BUDGET` behind it, or not.
+    /// Of a method's name, of `literal` or `word_for_word`, the paper's method as we read it, or of `without:KEY`, our method with that
+    /// setting as printed; with `@BUDGET` behind it, or not.
     fn named(text: &str) -> Result<Self, String> {
         let (name, budget) = text.split_once('@').map_or((text, None), |(name, b)| (name, Some(b)));
         let wrong = |_| format!("'{text}': what stands behind @ is no number");
         let budget = budget.map(str::parse).transpose().map_err(wrong)?;
-        let literal = name == LITERAL;
-        let method = if literal { MethodChoice::default() } else { name.parse()? };
-        let config = if literal { Config::literal() } else { Config::default() };
-        Ok(Self { name: name.to_owned(), method, config, budget })
+        let ours = match name.strip_prefix(departures::WITHOUT) {
+            Some(key) => Some(departures::without(key)?),
+            None if name == LITERAL => Some(Config::literal()),
+            None if name == WORD_FOR_WORD => Some(Config::word_for_word()),
+            None => None,
+        };
+        let method = if ours.is_some() { MethodChoice::default() } else { name.parse()? };
+        Ok(Self { name: name.to_owned(), method, config: ours.unwrap_or_default(), budget })
     }
 
     /// Name of the run's folder.
@@ -39,16 +45,21 @@ impl Candidate {
 
 const ALL: &str = "all";
 const INITIALISATIONS: &str = "initialisations";
+const DEPARTURES: &str = "departures";
 const LITERAL: &str = "literal";
+const WORD_FOR_WORD: &str = "word_for_word";
 
 /// Refuses what no capture can be compared by.
 ///
 /// # Errors
 /// When a name is of no method, a budget not above 0, or the frames do not begin at the first.
 pub(super) fn check(methods: &[String], budgets: &[f64], frames: Option<FrameRange>) -> Result<()> {
-    for name in methods.iter().filter(|name| ![ALL, INITIALISATIONS].contains(&name.as_str())) {
+    for name in methods.iter().filter(|name| ![ALL, INITIALISATIONS, DEPARTURES].contains(&name.as_str())) {
         Candidate::named(name).map_err(|error| {
-            anyhow!("--methods: {error}; or all, initialisations, literal (the paper's method as printed)")
+            anyhow!(
+                "--methods: {error}; or all, initialisations, departures, literal and word_for_word (the paper's method as \
+                 printed)"
+            )
         })?;
     }
     let own = methods.iter().filter_map(|name| Candidate::named(name).ok()?.budget);
@@ -83,6 +94,12 @@ fn meant(capture: &Path, name: &str) -> Vec<String> {
             let tracks = open_capture(capture).ok().and_then(|capture| ffgs_tracks::sources(&*capture).ok());
             let alone = tracks.iter().flatten().map(|source| format!("tracker:{}", source.name()));
             ["trackers".to_owned(), "none".to_owned()].into_iter().chain(alone).collect()
+        }
+        DEPARTURES => {
+            let whole = ["trackers", LITERAL, WORD_FOR_WORD].map(str::to_owned);
+            let single =
+                departures::all().into_iter().map(|keys| departures::WITHOUT.to_owned() + &keys.join("+"));
+            whole.into_iter().chain(single).collect()
         }
         one => vec![one.to_owned()],
     }
@@ -135,6 +152,9 @@ mod tests {
         assert_eq!(names(&["initialisations"]), [&["trackers", "none"], &alone[..]].concat());
         let all = ["trackers", "literal", "none", "dynamic3dgs", "hicom", "queen", "recongs", "trackersplat"];
         assert_eq!(names(&["all"]), all);
+        let departures = names(&["departures"]);
+        assert_eq!(departures[..3], ["trackers", "literal", "word_for_word"]);
+        assert!(departures.contains(&"without:marking.every_frame".to_owned()), "{departures:?}");
         assert_eq!(names(&["queen", "all"])[..3], ["queen", "trackers", "literal"]);
         assert_eq!(names(&["queen", "queen@0.1", "queen"]), ["queen", "queen"]);
     }

@@ -34,6 +34,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
         min_hits: config.min_hits,
         min_transmittance: config.min_transmittance,
         contributors: config.contributors,
+        normalise: config.normalise,
     };
     let scene = AssociationScene::new(&[&gaussians], &means);
     association.observe(&scene, &mut observed, &mut AssociationScratch::default());

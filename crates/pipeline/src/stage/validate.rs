@@ -12,7 +12,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     let cameras = input.cameras(masks[0].size())?;
     let slack = input.count("slack")?;
     let counts = count_views(&means, &cameras, &masks).map_err(|e| input.fault("masks", e))?;
-    let slack = Slack { views: u32::try_from(slack).unwrap_or(u32::MAX), share: 0.0 };
+    let slack = Slack { views: u32::try_from(slack).unwrap_or(u32::MAX), share: 0.0, all_views: false };
     let n = counts.len();
     let valid: Vec<u8> = counts.iter().map(|&c| u8::from(validate(c, slack))).collect();
     let mut results = NpzWriter::new();

@@ -1,0 +1,164 @@
+//! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
+
+use crate::frame::cameras_and_masks;
+use anyhow::Result;
+use ffgs_core::{Dynamic, Gaussians, Scene, SkyCube, TrainingView, spatial_order};
+use ffgs_fusion::{Silhouettes, initial_covariance};
+use ffgs_motion::{MarkingConfig, join, pixel_sizes};
+use ffgs_trainer::BackgroundConfig;
+use glam::{DMat3, DVec3};
+use std::sync::Arc;
+
+/// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move. `views` are those that later
+/// frames have: they say how large a pixel is where a Gaussian lies.
+///
+/// # Errors
+/// When the masks do not fit their cameras.
+pub fn split(
+    marking: &MarkingConfig,
+    all: &Gaussians,
+    sky: SkyCube,
+    views: &[TrainingView],
+    training: &[TrainingView],
+) -> Result<Scene> {
+    let moving = silhouettes(marking, training)?.hold(&all.positions())?;
+    // Training left what it added at the end; all later frames keep this order.
+    let order = spatial_order(&all.means);
+    let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
+    let gaussians = all.select(&indices(true));
+    if gaussians.is_empty() {
+        tracing::warn!("no Gaussian lies inside the masks: nothing is dynamic");
+    }
+    let covariances = covariances(&gaussians, views);
+    let growth_limit = gaussians.len();
+    let mut dynamic = Dynamic { gaussians, covariances, growth_limit, ..Dynamic::default() };
+    dynamic.number_new();
+    let static_layer = Arc::new(all.select(&indices(false)));
+    Ok(Scene { static_layer, hidden: Vec::new(), static_colours: Vec::new(), dynamic, sky })
+}
+
+/// The layers of t-1 with their border drawn anew by `views`, of t-1: static Gaussians inside the masks move from now on, moving ones outside stand still.
+/// Returns the number of both.
+///
+/// # Errors
+/// When the masks do not fit their cameras.
+pub(crate) fn mark_again(
+    marking: &MarkingConfig,
+    background: &BackgroundConfig,
+    scene: &mut Scene,
+    views: &[TrainingView],
+) -> Result<[usize; 2]> {
+    let silhouettes = silhouettes(marking, views)?;
+    let indices = |held: Vec<bool>| (0..held.len()).partition(|&i| held[i]);
+    let (starting, standing): (Vec<usize>, Vec<usize>) =
+        indices(silhouettes.hold(&scene.static_layer.positions())?);
+    let (moving, stopping): (Vec<usize>, Vec<usize>) =
+        indices(silhouettes.hold(&scene.dynamic.gaussians.positions())?);
+    if starting.is_empty() && stopping.is_empty() {
+        return Ok([0; 2]);
+    }
+    let stopped = scene.dynamic.gaussians.select(&stopping);
+    let started = scene.static_layer.select(&starting);
+    scene.dynamic.keep(&moving);
+    scene.dynamic.growth_limit = scene.dynamic.growth_limit.saturating_sub(stopping.len());
+    join(&mut scene.dynamic, &started, views);
+    // What stood still has come nowhere, and its place is known.
+    let Dynamic { steps, covariances: all, .. } = &mut scene.dynamic;
+    steps.iter_mut().skip(moving.len()).for_each(|step| *step = DVec3::ZERO);
+    all.splice(moving.len().., covariances(&started, views));
+    let mut still = scene.static_layer.select(&standing);
+    still.extend(&stopped);
+    scene.static_layer = Arc::new(still);
+    follow(&mut scene.hidden, &standing, stopping.len(), 0);
+    let unknown =
+        [background.solve_sh0_change, background.solve_sh_rest_change].map(|change| change * change);
+    follow(&mut scene.static_colours, &standing, stopping.len(), unknown);
+    Ok([starting.len(), stopping.len()])
+}
+
+/// A column of the static layer, where there is one, of which only `standing` stay and to which `stopping` come.
+fn follow<T: Copy>(column: &mut Vec<T>, standing: &[usize], stopping: usize, value: T) {
+    if !column.is_empty() {
+        *column = standing.iter().map(|&i| column[i]).collect();
+        column.resize(standing.len() + stopping, value);
+    }
+}
+
+fn silhouettes(marking: &MarkingConfig, views: &[TrainingView]) -> Result<Silhouettes> {
+    let (cameras, masks) = cameras_and_masks(views);
+    Ok(Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?)
+}
+
+/// Position covariances (m^2) of Gaussians that stood still until now.
+fn covariances(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<DMat3> {
+    let pixel_m = pixel_sizes(&gaussians.positions(), views.iter().map(|view| &view.camera));
+    let smallest = |s: &[f32; 3]| f64::from(s.iter().copied().fold(f32::INFINITY, f32::min).exp());
+    let axes = gaussians.log_scales.iter().map(smallest);
+    axes.zip(pixel_m).map(|(axis, pixel)| initial_covariance(axis, pixel)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use glam::DMat4;
+
+    const SIZE: ImageSize = ImageSize { width: 40, height: 30 };
+
+    /// Four cameras side by side whose masks hold the left half of the image.
+    fn views() -> Vec<TrainingView> {
+        let view = |v: i32| {
+            let intrinsics = Intrinsics { fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
+            let pose = DMat4::from_translation(DVec3::X * 0.01 * f64::from(v));
+            let left = (0..SIZE.pixels()).map(|p| u8::from(p % SIZE.width < 20)).collect();
+            let image = ImageRgb8::new(SIZE, vec![0; 3 * SIZE.pixels()]).unwrap();
+            let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
+            TrainingView { camera, image, mask: Mask::new(SIZE, left).unwrap() }
+        };
+        (0..4).map(view).collect()
+    }
+
+    fn at(places: &[f32]) -> Gaussians {
+        let mut gaussians = Gaussians::zeros(places.len(), 0);
+        gaussians.means.iter_mut().zip(places).for_each(|(mean, &x)| *mean = [x, 0.0, 4.0]);
+        gaussians
+    }
+
+    #[test]
+    fn what_enters_the_masks_moves_and_what_leaves_them_stands_still() {
+        let (marking, background) = (MarkingConfig::literal(), BackgroundConfig::default());
+        let sky = SkyCube::filled(1, [0.0; 3]);
+        let mut scene = split(&marking, &at(&[-1.0, -0.5, 1.0]), sky, &views(), &views()).unwrap();
+        assert_eq!(scene.dynamic.ids, [0, 1]);
+        let ids = |scene: &Scene, x: f32| {
+            scene.dynamic.gaussians.means.iter().position(|m| m[0] == x).map(|i| scene.dynamic.ids[i])
+        };
+        let moved = ids(&scene, -1.0);
+        scene.dynamic.gaussians.means.iter_mut().filter(|m| m[0] == -0.5).for_each(|m| m[0] = 0.5);
+        scene.dynamic.steps = vec![DVec3::X; 2];
+        Arc::make_mut(&mut scene.static_layer).means[0][0] = -0.8;
+        (scene.hidden, scene.static_colours) = (vec![2], vec![[0.1, 0.2]]);
+        let counts = mark_again(&marking, &background, &mut scene, &views()).unwrap();
+        assert_eq!(counts, [1, 1]);
+        assert_eq!(scene.static_layer.means, [[0.5, 0.0, 4.0]]);
+        assert_eq!((&scene.hidden, scene.static_colours.len()), (&vec![0], 1));
+        assert!(
+            scene.static_colours[0][0] > 0.05,
+            "nothing is known of its colour: {:?}",
+            scene.static_colours
+        );
+        assert_eq!(scene.dynamic.gaussians.means, [[-1.0, 0.0, 4.0], [-0.8, 0.0, 4.0]]);
+        assert_eq!(
+            (ids(&scene, -1.0), ids(&scene, -0.8)),
+            (moved, Some(2)),
+            "an id stays, and none is used twice"
+        );
+        assert_eq!(scene.dynamic.steps, [DVec3::X, DVec3::ZERO]);
+        assert_eq!(scene.dynamic.covariances.len(), 2);
+        assert_eq!(
+            mark_again(&marking, &background, &mut scene, &views()).unwrap(),
+            [0; 2],
+            "nothing changes twice"
+        );
+    }
+}
