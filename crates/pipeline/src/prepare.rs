@@ -60,9 +60,47 @@ pub struct PrepareArgs {
     /// Throw away the results of these steps and make them again
     #[arg(long, value_name = "STEP", value_delimiter = ',')]
     pub force: Vec<Step>,
+    /// Track with this optical-flow or matching network (ONNX) too: its description, or raft=FILE.onnx, xfeat=FILE.onnx
+    /// for those that are described already. ONNX Runtime is loaded from ORT_DYLIB_PATH. Can be given several times
+    #[arg(long, value_name = "FILE.toml|NAME=FILE.onnx")]
+    pub network: Vec<String>,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,
+}
+
+/// `ffgs track`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Tracks the images of every training camera from frame to frame and writes the tracks into the \
+        capture, which has the layout of this project (train_meta.json): `descriptors` (sparse) and `lucas_kanade` \
+        (medium), and networks as ONNX files. Tracks of other programs stay.",
+    after_help = "Examples:\n  ffgs track capture\n  ffgs track capture --network raft=raft.onnx --network mine.toml"
+)]
+pub struct TrackArgs {
+    /// Folder of the capture
+    pub capture: PathBuf,
+    /// Track with this optical-flow or matching network too, as for `ffgs prepare`
+    #[arg(long, value_name = "FILE.toml|NAME=FILE.onnx")]
+    pub network: Vec<String>,
+    /// Discard the tracks of these trackers and track again
+    #[arg(long)]
+    pub force: bool,
+    /// Messages.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Tracks and prints what was made.
+///
+/// # Errors
+/// When the capture cannot be read or written, or a network cannot be used.
+pub(crate) fn track(args: &TrackArgs) -> Result<()> {
+    let bars = Bars::new(args.log.quiet);
+    let made = ffgs_prepare::track(&args.capture, &args.network, args.force, &bars);
+    bars.finish();
+    terminal::print(made.map_err(|e| anyhow::anyhow!("{e}\n  fix: {}", e.fix()))?);
+    Ok(())
 }
 
 /// `ffgs convert`.
@@ -131,6 +169,7 @@ pub(crate) fn run(args: &PrepareArgs) -> Result<()> {
         test: args.test.clone().unwrap_or_default(),
         only: args.only.clone(),
         force: args.force.clone(),
+        networks: args.network.clone(),
         ..Request::new(args.source.clone(), args.out.clone())
     };
     let bars = Bars::new(args.log.quiet);

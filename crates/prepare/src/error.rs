@@ -1,6 +1,7 @@
 use ffgs_arrays::ArraysError;
 use ffgs_calibration::CalibrationError;
 use ffgs_dataset::DatasetError;
+use ffgs_networks::NetworkError;
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -50,6 +51,9 @@ pub enum PrepareError {
     /// A numpy file cannot be written.
     #[error(transparent)]
     Array(#[from] ArraysError),
+    /// A network cannot be used.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
 }
 
 impl PrepareError {
@@ -84,6 +88,7 @@ impl PrepareError {
             Self::Calibration(error) => error.fix(),
             Self::Capture(error) => error.fix(),
             Self::Array(_) => "check the free space",
+            Self::Network(error) => error.fix(),
         }
     }
 }

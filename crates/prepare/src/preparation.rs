@@ -1,6 +1,7 @@
 //! The steps in their order.
 
 use crate::journal::Journal;
+use crate::networks::Networks;
 use crate::rig::{self, Rig, rig};
 use crate::stereo::StereoPoint;
 use crate::timing::schedule;
@@ -27,8 +28,13 @@ pub fn prepare(request: &Request, progress: &dyn Progress) -> Result<Summary, Pr
 }
 
 fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, PrepareError> {
+    // A network that cannot be loaded is told before anything is made.
+    let mut networks = Networks::load(if request.wants(Step::Tracks) { &request.networks } else { &[] })?;
     let mut journal = Journal::open(request)?;
     clear_forced(request)?;
+    if networks.announce(&request.out)? {
+        journal.steps.remove(&Step::Tracks);
+    }
     let (format, calibration) = detect(&request.source, request.format.as_deref())?;
     let mut footage = (format.read)(&request.source, &calibration)?;
     let mut summary = Summary::default();
@@ -36,7 +42,7 @@ fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, Prepa
     summary.row("calibration", calibration.display().to_string());
     for step in Step::ALL {
         if request.wants(step) && !journal.steps.contains_key(&step) {
-            let done = take(step, &mut footage, request, &mut journal, progress)?;
+            let done = take(step, &mut footage, request, &mut networks, &mut journal, progress)?;
             journal.finish(step, done, &request.out)?;
         }
     }
@@ -65,6 +71,7 @@ fn take(
     step: Step,
     footage: &mut Footage,
     request: &Request,
+    networks: &mut Networks,
     journal: &mut Journal,
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
@@ -83,7 +90,7 @@ fn take(
             masks::make(&capture, &beyond, progress)
         }
         Step::Points => points::make(&capture, &known_points(footage, journal), progress),
-        _ => tracks::make(&capture, progress),
+        _ => tracks::make_all(&capture, networks, progress),
     }
 }
 
@@ -140,12 +147,14 @@ fn clear_forced(request: &Request) -> Result<(), PrepareError> {
         }
         Step::Masks => &["seg"],
         Step::Points => &["init_pt_cld.npz"],
-        Step::Tracks => &["tracks"],
+        Step::Tracks => &[],
     };
-    request.force.iter().flat_map(results).try_for_each(|name| remove(&request.out.join(name)))
+    request.force.iter().flat_map(results).try_for_each(|name| remove(&request.out.join(name)))?;
+    if request.force.contains(&Step::Tracks) { tracks::discard(&request.out) } else { Ok(()) }
 }
 
-fn remove(path: &Path) -> Result<(), PrepareError> {
+/// Removes a file or folder that may be missing.
+pub(crate) fn remove(path: &Path) -> Result<(), PrepareError> {
     let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     match removed {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::io(path, e)),

@@ -31,6 +31,8 @@ pub struct Request {
     pub only: Vec<Step>,
     /// The steps whose results are thrown away and made again.
     pub force: Vec<Step>,
+    /// Networks that track too: files of descriptions, or `NAME=MODEL.onnx`.
+    pub networks: Vec<String>,
 }
 
 impl Request {
@@ -49,6 +51,7 @@ impl Request {
             test: TestCameras::default(),
             only: Vec::new(),
             force: Vec::new(),
+            networks: Vec::new(),
         }
     }
 

@@ -1,13 +1,14 @@
 //! Tracks from frame to frame in every training view, by the trackers of this project.
 
-use crate::camera_lists::write_json;
+use crate::networks::{Networks, made_folders};
+use crate::preparation::remove;
+use crate::tracker_list;
 use crate::{PrepareError, Progress};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::TrackSet;
 use ffgs_dataset::{Capture, Split};
 use ffgs_trackers::{Frame, TrackerConfig, lucas_kanade, matches};
 use rayon::prelude::*;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -30,8 +31,50 @@ const TRACKERS: [Tracker; 2] = [
     Tracker { name: "lucas_kanade", level: "medium", track: lucas_kanade },
 ];
 
+/// Names of the trackers of this project.
+pub(crate) fn names() -> [&'static str; 2] {
+    TRACKERS.map(|tracker| tracker.name)
+}
+
+/// Tracks every training view of a capture of this project's format, in its own folder, by the trackers of this project
+/// and by networks (descriptions, or `NAME=MODEL.onnx`); with `again`, also what was tracked before. Returns what was
+/// done. Tracks of other programs stay.
+///
+/// # Errors
+/// When the capture cannot be read or written, or a network cannot be used.
+pub fn track(
+    capture: &Path,
+    networks: &[String],
+    again: bool,
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    let capture = Capture::open(capture)?;
+    let mut networks = Networks::load(networks)?;
+    if again {
+        discard(capture.root())?;
+    }
+    networks.announce(capture.root())?;
+    make_all(&capture, &mut networks, progress)
+}
+
+/// Removes the tracks of this project's trackers and of networks; those of other programs stay.
+pub(crate) fn discard(capture: &Path) -> Result<(), PrepareError> {
+    let own: Vec<String> = names().into_iter().map(str::to_owned).chain(made_folders(capture)).collect();
+    tracker_list::take_out(capture, &own)?;
+    own.iter().map(|name| capture.join("tracks").join(name)).try_for_each(|folder| remove(&folder))
+}
+
+/// Tracks by all trackers; what is there is kept.
+pub(crate) fn make_all(
+    capture: &Capture,
+    networks: &mut Networks,
+    progress: &dyn Progress,
+) -> Result<String, PrepareError> {
+    Ok(make(capture, progress)? + &networks.make(capture, progress)?)
+}
+
 /// Tracks every view and step whose files are missing, and then lists the trackers. Returns what was done.
-pub(crate) fn make(capture: &Capture, progress: &dyn Progress) -> Result<String, PrepareError> {
+fn make(capture: &Capture, progress: &dyn Progress) -> Result<String, PrepareError> {
     let (views, frames) = (capture.views(Split::Train).len(), capture.frames());
     if frames < 2 {
         return Ok("none: one frame has no motion".to_owned());
@@ -40,12 +83,8 @@ pub(crate) fn make(capture: &Capture, progress: &dyn Progress) -> Result<String,
     let tick = || progress.advance("tracks", done.fetch_add(1, Ordering::Relaxed) + 1, views * (frames - 1));
     let counts: Vec<usize> =
         (0..views).into_par_iter().map(|view| track_view(capture, view, &tick)).collect::<Result<_, _>>()?;
-    let entry = |Tracker { name, level, .. }: Tracker| {
-        let pattern = format!("{name}/{{camera}}/{{frame:06}}.npz");
-        json!({"name": name, "level": level, "format": "npz", "pattern": pattern, "pixel_center": "half"})
-    };
-    let list = json!({"trackers": TRACKERS.map(entry)});
-    write_json(&capture.root().join("tracks/tracks.json"), &list)?;
+    let entries = TRACKERS.map(|Tracker { name, level, .. }| tracker_list::entry(name, level, "npz"));
+    tracker_list::add(capture.root(), &entries)?;
     let steps = (views * (frames - 1)).max(1);
     let mean = counts.iter().sum::<usize>() / steps;
     let names = TRACKERS.map(|tracker| format!("{} ({})", tracker.name, tracker.level)).join(", ");
@@ -59,7 +98,7 @@ fn track_view(capture: &Capture, view: usize, tick: &(dyn Fn() + Sync)) -> Resul
     let mut before: Option<(usize, Frame)> = None;
     let mut found = 0;
     for frame in 1..capture.frames() {
-        let files = TRACKERS.map(|tracker| path(capture.root(), tracker.name, name, frame));
+        let files = TRACKERS.map(|tracker| path(capture.root(), tracker.name, name, frame, "npz"));
         if !files.iter().all(|file| file.exists()) {
             let last = match before.take() {
                 Some((at, last)) if at == frame - 1 => last,
@@ -87,11 +126,13 @@ fn load(capture: &Capture, view: usize, frame: usize, config: &TrackerConfig) ->
     Ok(Frame::new(&image, mask.as_ref(), config))
 }
 
-fn path(root: &Path, tracker: &str, camera: &str, frame: usize) -> PathBuf {
-    root.join("tracks").join(tracker).join(camera).join(format!("{frame:06}.npz"))
+/// Where the tracks of a camera that lead to a frame lie.
+pub(crate) fn path(root: &Path, tracker: &str, camera: &str, frame: usize, suffix: &str) -> PathBuf {
+    root.join("tracks").join(tracker).join(camera).join(format!("{frame:06}.{suffix}"))
 }
 
-fn write(file: &Path, tracks: &TrackSet) -> Result<(), PrepareError> {
+/// Writes tracks, whole or not at all.
+pub(crate) fn write(file: &Path, tracks: &TrackSet) -> Result<(), PrepareError> {
     let shape = [tracks.src.len(), 2];
     NpzWriter::new()
         .f32("src", &shape, tracks.src.as_flattened())

@@ -195,6 +195,67 @@ fn a_static_scene_has_no_masks_and_is_usable() {
     assert!(check(&Capture::open(&request.out).unwrap()).is_usable());
 }
 
+#[test]
+fn a_network_that_cannot_be_used_is_told_before_anything_is_made() {
+    let folder = footage(0, 2);
+    let with = |network: &str| Request { networks: vec![network.to_owned()], ..request(&folder) };
+    for (network, wanted) in
+        [("nowhere.toml", "nowhere.toml"), ("unknown=a.onnx", "raft, xfeat"), ("raft=a.onnx", "a.onnx")]
+    {
+        let told = error(&with(network));
+        assert!(told.contains(wanted), "{told}");
+    }
+    let file = folder.path().join("net.toml");
+    fs::write(&file, "name = 'descriptors'\nmodel = 'a'\n[input]\nnames = ['a']\n[flow]\noutput = 'f'\n")
+        .unwrap();
+    assert!(error(&with(file.to_str().unwrap())).contains("another tracker has the name 'descriptors'"));
+    assert!(!request(&folder).out.exists());
+}
+
+/// Skipped, with a message, where ONNX Runtime is not installed.
+#[test]
+fn a_network_tracks_beside_the_others_and_can_be_added_later() {
+    let folder = footage(0, 2);
+    run(&request(&folder));
+    let out = request(&folder).out;
+    let others = r#"{"trackers": [{"name": "mine", "level": "dense", "format": "flo", "pattern": "mine/{camera}.flo"}]}"#;
+    fs::write(out.join("tracks/tracks.json"), others).unwrap();
+    fs::create_dir(out.join("tracks/mine")).unwrap();
+    let blocks = Path::new(env!("CARGO_MANIFEST_DIR")).join("../networks/tests/networks/blocks.onnx");
+    let describe = |rest: &str| {
+        let text = "name = 'blocks'\nlevel = 'medium'\n[input]\nnames = ['before', 'now']\n[flow]\noutput = 'flow'\n";
+        fs::write(folder.path().join("net.toml"), format!("model = '{}'\n{text}{rest}", blocks.display()))
+            .unwrap();
+    };
+    describe("");
+    let networks = vec![folder.path().join("net.toml").display().to_string()];
+    let with = Request { networks, ..request(&folder) };
+    let summary = match prepare(&with, &|_: &str, _: usize, _: usize| ()) {
+        Err(error) if std::env::var_os("ORT_DYLIB_PATH").is_none() => return eprintln!("skipped: {error}"),
+        other => other.unwrap().to_string(),
+    };
+    assert!(summary.contains("blocks (medium, network)"), "{summary}");
+    let flow = out.join("tracks/blocks/cam_0/000001.flo");
+    assert_eq!(fs::metadata(&flow).unwrap().len() as usize, 12 + 8 * SIZE.pixels());
+    let stamp = || fs::metadata(&flow).unwrap().modified().unwrap();
+    let first = stamp();
+    run(&with);
+    assert_eq!(stamp(), first);
+    // Another description makes other tracks; those of another program stay, also when tracks are forced.
+    describe("layout = 'nchw'\n[input.x]\n");
+    assert!(error(&with).contains("net.toml"));
+    describe("# the same\n");
+    run(&with);
+    assert_eq!(stamp(), first);
+    run(&Request { force: vec![Step::Tracks], ..with });
+    assert!(stamp() > first && out.join("tracks/mine").is_dir());
+    let list = fs::read_to_string(out.join("tracks/tracks.json")).unwrap();
+    assert!(
+        ["mine", "descriptors", "lucas_kanade", "blocks"].iter().all(|name| list.contains(name)),
+        "{list}"
+    );
+}
+
 /// Needs ffmpeg, which the project's set-up for tests installs.
 #[test]
 fn videos_are_read_frame_by_frame() {
