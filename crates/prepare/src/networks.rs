@@ -1,6 +1,6 @@
 //! Networks that track beside the trackers of this project.
 
-use crate::preparation::remove;
+use crate::removal::remove;
 use crate::{PrepareError, Progress, tracker_list, tracks};
 use ffgs_core::{ImageSize, TrackerLevel, read_text, write_atomically};
 use ffgs_dataset::{Capture, Split};

@@ -2,15 +2,14 @@
 
 use crate::journal::Journal;
 use crate::networks::Networks;
+use crate::removal::remove;
 use crate::rig::{self, Rig, rig};
 use crate::stereo::StereoPoint;
 use crate::timing::schedule;
-use crate::{PrepareError, Progress, Request, Step, camera_lists, extraction, masks, points, tracks};
+use crate::{PrepareError, Progress, Request, Step, camera_lists, extraction, masks, points, tracking};
 use ffgs_calibration::{ColouredPoint, Footage, Pictures, detect};
 use ffgs_dataset::Capture;
 use glam::DVec3;
-use std::fs;
-use std::path::Path;
 
 /// What was read, made and assumed; prints as a table.
 #[derive(Clone, Debug, Default)]
@@ -90,7 +89,7 @@ fn take(
             masks::make(&capture, &beyond, progress)
         }
         Step::Points => points::make(&capture, &known_points(footage, journal), progress),
-        _ => tracks::make_all(&capture, networks, progress),
+        _ => tracking::make_all(&capture, networks, progress),
     }
 }
 
@@ -150,14 +149,5 @@ fn clear_forced(request: &Request) -> Result<(), PrepareError> {
         Step::Tracks => &[],
     };
     request.force.iter().flat_map(results).try_for_each(|name| remove(&request.out.join(name)))?;
-    if request.force.contains(&Step::Tracks) { tracks::discard(&request.out) } else { Ok(()) }
-}
-
-/// Removes a file or folder that may be missing.
-pub(crate) fn remove(path: &Path) -> Result<(), PrepareError> {
-    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-    match removed {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::io(path, e)),
-        _ => Ok(()),
-    }
+    if request.force.contains(&Step::Tracks) { tracking::discard(&request.out) } else { Ok(()) }
 }

@@ -2,7 +2,7 @@
 
 use crate::PrepareError;
 use crate::camera_lists::write_json;
-use crate::preparation::remove;
+use crate::removal::remove;
 use ffgs_core::read_text;
 use serde_json::{Value, json};
 use std::path::Path;
