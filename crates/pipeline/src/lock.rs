@@ -16,8 +16,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How often a holder says that it is alive.
 const BEAT: Duration = Duration::from_secs(10);
-/// A holder on another machine that has been silent for so long is dead.
+/// A holder on another machine that has been silent for so long is dead, if its clock is right.
 const SILENCE: Duration = Duration::from_mins(1);
+/// How long a holder on another machine that seems silent is watched: its clock may be wrong, but it says that it is alive.
+const WATCH: Duration = if cfg!(test) { Duration::from_millis(300) } else { Duration::from_secs(30) };
 /// Tries, when the file is removed by another holder in the moment of taking it.
 const TRIES: usize = 10;
 
@@ -64,7 +66,7 @@ impl FolderLock {
                 Err(TryLockError::WouldBlock) => bail!(in_use(folder, before.as_ref())),
                 Err(TryLockError::Error(_)) => false,
             };
-            if before.as_ref().is_some_and(|holder| holder.is_alive(locked)) {
+            if before.as_ref().is_some_and(|holder| holder.is_alive(locked, || speaks(&path, holder))) {
                 bail!(in_use(folder, before.as_ref()));
             }
             let mine = Holder::new();
@@ -108,14 +110,25 @@ impl Holder {
         Self { boot: boot(), pid: std::process::id(), taken, alive: seconds(now) }
     }
 
-    /// Whether this holder still writes, when the system's lock could be taken (`locked`) or could not tell.
-    fn is_alive(&self, locked: bool) -> bool {
+    /// Whether this holder still writes, when the system's lock could be taken (`locked`) or could not tell. One on another
+    /// machine that seems silent, or to live in the future, is asked by `speaks`.
+    fn is_alive(&self, locked: bool, speaks: impl FnOnce() -> bool) -> bool {
         let here = !self.boot.is_empty() && self.boot == boot();
         if here {
             return !locked && Path::new("/proc").join(self.pid.to_string()).exists();
         }
-        seconds(SystemTime::now()).saturating_sub(self.alive) < SILENCE.as_secs()
+        let silent = seconds(SystemTime::now()).checked_sub(self.alive);
+        silent.is_some_and(|silent| silent < SILENCE.as_secs()) || speaks()
     }
+}
+
+/// Whether the lock of `holder` changes while it is watched.
+fn speaks(path: &Path, holder: &Holder) -> bool {
+    tracing::info!("{}: waiting {} s for a sign of its holder", path.display(), WATCH.as_secs());
+    (0..30).any(|_| {
+        std::thread::sleep(WATCH / 30);
+        File::open(path).ok().and_then(|mut file| read(&mut file)).is_some_and(|now| now != *holder)
+    })
 }
 
 fn in_use(folder: &Path, holder: Option<&Holder>) -> String {
@@ -182,6 +195,30 @@ mod tests {
         drop(FolderLock::take(folder.path()).unwrap());
     }
 
+    #[test]
+    fn clocks_of_machines_may_differ() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.lock");
+        let hour = 3600;
+        let now = seconds(SystemTime::now());
+        for alive in [now - hour, now + hour] {
+            let leave = |alive| {
+                let holder = Holder { boot: "elsewhere".into(), alive, ..Holder::new() };
+                std::fs::write(&path, serde_json::to_string(&holder).unwrap()).unwrap();
+            };
+            leave(alive);
+            let told = std::thread::scope(|scope| {
+                let taking = scope.spawn(|| FolderLock::take(folder.path()).map(drop));
+                std::thread::sleep(WATCH / 3);
+                leave(alive + BEAT.as_secs());
+                taking.join().unwrap().unwrap_err().to_string()
+            });
+            assert!(told.contains("another run writes into"), "{told}");
+            // Nothing more is heard of it.
+            drop(FolderLock::take(folder.path()).unwrap());
+        }
+    }
+
     #[cfg(unix)]
     #[test]
     fn what_is_no_lock_file_is_not_written_through() {
@@ -206,8 +243,9 @@ mod tests {
     fn without_the_systems_lock_a_holder_here_lives_as_long_as_its_process() {
         let own = Holder::new();
         if !own.boot.is_empty() {
-            assert!(own.is_alive(false) && !own.is_alive(true));
-            assert!(!Holder { pid: u32::MAX, ..own }.is_alive(false));
+            let silent = || false;
+            assert!(own.is_alive(false, silent) && !own.is_alive(true, silent));
+            assert!(!Holder { pid: u32::MAX, ..own }.is_alive(false, silent));
         }
     }
 }

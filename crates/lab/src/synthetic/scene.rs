@@ -24,6 +24,8 @@ const PLACES: [DVec3; 4] = [
 ];
 /// Step of a body per frame (m), and its turn about the vertical (rad).
 const STEP: [f64; 2] = [0.5, 0.02];
+/// Frames after which a body drives back, so that long captures stay within the yard.
+const REACH: usize = 16;
 
 /// The truth at frame 0, and which body each dynamic Gaussian belongs to.
 pub(super) struct World {
@@ -65,12 +67,13 @@ impl World {
         Self { static_layer, dynamic, bodies }
     }
 
-    /// The dynamic layer at a frame: every body has driven on and turned.
+    /// The dynamic layer at a frame: every body has driven on, or back, and turned.
     pub(super) fn dynamic_at(&self, frame: usize) -> Gaussians {
         let mut moved = self.dynamic.clone();
         let turn = DQuat::from_rotation_z(STEP[1] * frame as f64);
+        let driven = STEP[0] * (frame + REACH).rem_euclid(2 * REACH).abs_diff(REACH) as f64;
         for (i, &body) in self.bodies.iter().enumerate() {
-            let along = DVec3::X * STEP[0] * frame as f64 * if body % 2 == 0 { 1.0 } else { -1.0 };
+            let along = DVec3::X * driven * if body % 2 == 0 { 1.0 } else { -1.0 };
             let mean = DVec3::from(moved.means[i].map(f64::from));
             moved.means[i] = (PLACES[body] + along + turn * (mean - PLACES[body])).as_vec3().to_array();
             let [w, x, y, z] = moved.quats[i].map(f64::from);
