@@ -72,13 +72,15 @@ fn two_workers_one_of_them_killed_end_as_one_machine() {
     [&one, &two].into_iter().for_each(|folder| succeeds(&mut plan(folder)));
     succeeds(&mut plan(&one));
     assert!(refused(plan(&one).args(["--seed", "2"])).contains("holds another plan"));
-    assert!(refused(&mut work(&two, &["--only", "1"])).contains("--only scout"));
+    assert!(refused(&mut work(&two, &["--only", "1"])).contains("--only scout1"));
+    assert!(refused(&mut work(&two, &["--only", "scout1"])).contains("--only first"));
     assert!(refused(&mut join(&two)).contains("part 0 is not finished"));
     succeeds(&mut work(&one, &[]));
     succeeds(&mut join(&one));
 
     succeeds(&mut work(&two, &["--only", "first"]));
-    succeeds(&mut work(&two, &["--only", "scout"]));
+    assert!(refused(&mut work(&two, &["--only", "scout2"])).contains("scout1 to scout1"));
+    succeeds(&mut work(&two, &["--only", "scout1"]));
     let mut other = work(&two, &["--only", "0"]).spawn().unwrap();
     let mut killed = work(&two, &["--only", "1"]).spawn().unwrap();
     let patience = Instant::now() + Duration::from_mins(2);

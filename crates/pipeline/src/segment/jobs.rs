@@ -16,8 +16,8 @@ use std::str::FromStr;
 pub(super) enum Job {
     /// The first frame.
     First,
-    /// The moving layer at every key frame.
-    Scout,
+    /// The moving layer at every key frame, or up to that of a part: what is there already stays.
+    Scout(Option<usize>),
     /// A part.
     Part(usize),
 }
@@ -28,11 +28,12 @@ impl FromStr for Job {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "first" => Ok(Self::First),
-            "scout" => Ok(Self::Scout),
-            number => number
-                .parse()
-                .map(Self::Part)
-                .map_err(|_| format!("'{text}' is neither first nor scout nor the number of a part")),
+            "scout" => Ok(Self::Scout(None)),
+            _ => match text.strip_prefix("scout") {
+                Some(number) => number.parse().map(|number| Self::Scout(Some(number))),
+                None => text.parse().map(Self::Part),
+            }
+            .map_err(|_| format!("'{text}' is neither first nor scout, scout1, … nor the number of a part")),
         }
     }
 }
@@ -42,7 +43,7 @@ impl FromStr for Job {
 /// # Errors
 /// When one fails; those before it are finished.
 pub(super) fn run_all(plan: &Plan, device: &Device, quiet: bool) -> Result<()> {
-    let scout = (!plan.scouted().is_empty()).then_some(Job::Scout);
+    let scout = (!plan.scouted().is_empty()).then_some(Job::Scout(None));
     let parts = (0..plan.parts().len()).map(Job::Part);
     [Job::First].into_iter().chain(scout).chain(parts).try_for_each(|job| run_job(plan, job, device, quiet))
 }
@@ -84,10 +85,13 @@ fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
     };
     match job {
         Job::First => Ok(request(plan.first(), first..first + 1)),
-        Job::Scout => {
+        Job::Scout(part) => {
             ensure!(!plan.scouted().is_empty(), "the plan has one part and needs no scout");
             require(plan, &plan.first(), first, "first")?;
-            let mut run = request(plan.scout(), plan.scouted());
+            let last = plan.parts().len() - 1;
+            let part = part.unwrap_or(last);
+            ensure!((1..=last).contains(&part), "--only scout{part}: the plan has scout1 to scout{last}");
+            let mut run = request(plan.scout(), first..plan.parts()[part].start + 1);
             run.first_frame = Some(plan.first().0);
             // Parts start from the key frames alone.
             run.keep = NonZeroUsize::new(plan.length);
@@ -102,8 +106,8 @@ fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
         Job::Part(number) => {
             let parts = plan.parts();
             ensure!(number < parts.len(), "--only {number}: the plan has the parts 0 to {}", parts.len() - 1);
-            let (from, name) = if number == 0 { (plan.first(), "first") } else { (plan.scout(), "scout") };
-            require(plan, &from, parts[number].start, name)?;
+            let (from, name) = plan.starts_from(number);
+            require(plan, &from, parts[number].start, &name)?;
             let mut run = request(plan.part(number), parts[number].clone());
             run.first_frame = Some(from.0);
             run.refine_first = (number > 0).then_some(plan.key_iterations);
@@ -130,6 +134,8 @@ mod tests {
     fn a_job_has_a_name() {
         assert_eq!("first".parse(), Ok(Job::First));
         assert_eq!("12".parse(), Ok(Job::Part(12)));
+        assert_eq!(("scout".parse(), "scout3".parse()), (Ok(Job::Scout(None)), Ok(Job::Scout(Some(3)))));
+        assert!("scouts".parse::<Job>().is_err());
         assert!("last".parse::<Job>().unwrap_err().contains("neither"));
     }
 }

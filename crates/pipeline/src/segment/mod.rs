@@ -25,12 +25,12 @@ use std::path::PathBuf;
 #[command(
     long_about = "Reconstructs a long capture in parts, which several machines can work on at the same time. `plan` decides the \
         parts and writes segments.json; `run` does the jobs: the first frame, a scout over all frames with few iterations per \
-        frame, then the parts, each from the scouted frame with which it begins; `join` makes one run of them, with a \
+        frame, then the parts, each from the scouted frame with which it begins (scout3 goes to that of part 3); `join` makes one run of them, with a \
         table of the jump at each seam. Every job goes on where it was stopped, with the same result.",
     after_help = "Examples:\n  ffgs segment plan CAPTURE --out out/long --length 50\n  \
         ffgs segment run out/long                      # every job, one after another\n  \
         ffgs segment run out/long --only first         # or one job on each machine: first, then scout,\n  \
-        ffgs segment run out/long --only scout         # then the parts in any order or at the same time\n  \
+        ffgs segment run out/long --only scout         # (scout1: part 1 can start), then the parts at the same time\n  \
         ffgs segment run out/long --only 3\n  \
         ffgs segment join out/long                     # the run out/long/joined: eval, export, view"
 )]
@@ -91,7 +91,7 @@ pub(crate) struct PlanArgs {
 struct WorkArgs {
     /// Folder of the plan
     folder: PathBuf,
-    /// Only this job: first, scout, or the number of a part
+    /// Only this job: first, scout, scout1 (as far as part 1 needs), …, or the number of a part
     #[arg(long, value_name = "JOB")]
     only: Option<Job>,
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU

@@ -127,6 +127,11 @@ impl Plan {
         RunFolder(self.folder.join("joined"))
     }
 
+    /// The run that a part starts from, and the name of the job that makes it.
+    pub(super) fn starts_from(&self, part: usize) -> (RunFolder, String) {
+        if part == 0 { (self.first(), "first".to_owned()) } else { (self.scout(), format!("scout{part}")) }
+    }
+
     /// The jobs, for the command line.
     pub(super) fn table(&self) -> String {
         let mut text = format!("{:>8}  {:>11}  starts from\n", "job", "frames");
@@ -134,11 +139,13 @@ impl Plan {
             let _ = writeln!(text, "{job:>8}  {:>11}  {from}", format!("{}..{}", frames.start, frames.end));
         };
         row("first", &(self.frames.start..self.frames.start + 1), "the initial points");
-        if !self.scouted().is_empty() {
-            row("scout", &self.scouted(), "first");
+        let parts = self.parts();
+        for number in 1..parts.len() {
+            let reached = self.frames.start..parts[number].start + 1;
+            row(&format!("scout{number}"), &reached, &self.starts_from(number - 1).1);
         }
-        for (number, part) in self.parts().iter().enumerate() {
-            row(&number.to_string(), part, if number == 0 { "first" } else { "scout" });
+        for (number, part) in parts.iter().enumerate() {
+            row(&number.to_string(), part, &self.starts_from(number).1);
         }
         text
     }
