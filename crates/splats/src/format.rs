@@ -33,7 +33,8 @@ impl SplatWriter for Format {
     }
 
     fn write(&self, file: &Path, splats: &Splats, mode: RenderMode) -> Result<(), Fault> {
-        (self.write)(file, splats, mode).map_err(|e| fault(&e, "make room on the disk, or choose another folder or format"))
+        (self.write)(file, splats, mode)
+            .map_err(|e| fault(&e, "make room on the disk, or choose another folder or format"))
     }
 
     fn read(&self, file: &Path) -> Option<Result<Gaussians, Fault>> {
