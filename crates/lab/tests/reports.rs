@@ -36,6 +36,7 @@ fn request(out: &Path) -> RunRequest {
         first_frame: None,
         refine_first: None,
         keep: None,
+        memory: None,
         device: Device::Cpu,
         quiet: true,
         config,

@@ -150,6 +150,10 @@ pub struct RunArgs {
     /// Keep the Gaussians of every Nth frame and of the last alone; of the others the numbers and the report's pictures stay
     #[arg(long, value_name = "N")]
     pub keep: Option<NonZeroUsize>,
+    /// Most memory that the run may take [default: what the machine has free]; one that needs more does not start, and says
+    /// what to change
+    #[arg(long, value_name = "MIB")]
+    pub memory: Option<usize>,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,
@@ -180,6 +184,7 @@ impl RunArgs {
             first_frame: self.first_frame.clone(),
             refine_first: self.refine_first,
             keep: self.keep,
+            memory: self.memory,
             device: self.device.clone(),
             quiet: self.log.quiet,
             config,

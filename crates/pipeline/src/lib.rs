@@ -31,6 +31,7 @@ pub mod manifest;
 pub mod marking;
 mod measure;
 mod memory;
+mod memory_need;
 pub mod method;
 mod methods;
 pub mod orbit;

@@ -28,6 +28,8 @@ pub struct RunRequest {
     pub refine_first: Option<usize>,
     /// Keep the Gaussians of every so many-th frame and of the last alone; `None` = of every frame.
     pub keep: Option<NonZeroUsize>,
+    /// Most memory that it may take (MiB), else it does not start; `None` = what the machine has free.
+    pub memory: Option<usize>,
     /// Where to compute.
     pub device: Device,
     /// No progress bars.

@@ -19,6 +19,7 @@ use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::marking::{mark_again, split};
 use crate::memory;
+use crate::memory_need;
 use crate::method::Parts;
 use crate::provenance::{checksums, frame_digest};
 use crate::publish::publish;
@@ -132,6 +133,8 @@ impl<'a> Job<'a> {
             None if frames.len() == 1 => MethodChoice::suitable(&parts)?,
             None => MethodChoice::default().build(&parts).map(|_| MethodChoice::default())?,
         };
+        let by_lanes = method == MethodChoice::default() && frames.len() > 1;
+        memory_need::require(request, &*capture, &views, by_lanes)?;
         let manifest = Manifest::new(request, &method, &*capture, &frames, device::name(&gpus))?;
         if let Some(run) = &request.first_frame {
             manifest.check_first_frame(&RunFolder(run.clone()))?;

@@ -210,6 +210,7 @@ fn what_cannot_be_run_is_refused_before_anything_is_written() {
             "first_frame.position_rate_end = 0.0: must be above 0",
         ),
         (&["--frames", "1.."], "--first-frame"),
+        (&["--memory", "60"], "background.solve_memory_mib"),
         (&["--train-views", "trk000,trk000"], "trk000 is named twice"),
         (&["--seed", "18446744073709551615"], "seed = 18446744073709551615"),
     ] {

@@ -39,6 +39,7 @@ fn request(out: &Path, steps: usize) -> RunRequest {
         first_frame: None,
         refine_first: None,
         keep: None,
+        memory: None,
         device: Device::Cpu,
         quiet: true,
         config,

@@ -174,6 +174,7 @@ impl CompareArgs {
             first_frame: None,
             refine_first: None,
             keep: None,
+            memory: None,
             device: self.device.clone(),
             quiet: self.log.quiet,
             config: Config::default(),

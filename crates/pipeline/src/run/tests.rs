@@ -111,6 +111,7 @@ fn request(out: &Path, gpus: &[usize], frames: usize, resume: bool) -> RunReques
         first_frame: None,
         refine_first: None,
         keep: None,
+        memory: None,
         device: Device::Gpu(gpus.to_vec()),
         quiet: true,
         config,

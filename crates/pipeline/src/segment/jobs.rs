@@ -79,6 +79,7 @@ fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
         first_frame: None,
         refine_first: None,
         keep: None,
+        memory: None,
         device: device.clone(),
         quiet: false,
         config: plan.config,

@@ -27,11 +27,19 @@ const MOST_CONTRIBUTORS: usize = 16;
 /// With fewer the model is too coarse to be solved.
 const FEWEST_CONTRIBUTORS: usize = 4;
 
-/// Contributors per pixel that the memory allows.
-fn contributors(config: &BackgroundConfig, views: &[TrainingView]) -> usize {
-    let pixels: usize = views.iter().map(|v| v.camera.size().pixels()).sum();
-    let bytes = pixels.max(1) * size_of::<trace::Contribution>();
-    (config.solve_memory_mib << 20).checked_div(bytes).unwrap_or(0).min(MOST_CONTRIBUTORS)
+impl BackgroundConfig {
+    /// Contributors per pixel that the memory allows, when all views have so many pixels; 0 = too few to be solved.
+    fn contributors(&self, pixels: usize) -> usize {
+        let bytes = pixels.max(1) * size_of::<trace::Contribution>();
+        let fit = (self.solve_memory_mib << 20).checked_div(bytes).unwrap_or(0).min(MOST_CONTRIBUTORS);
+        if fit < FEWEST_CONTRIBUTORS { 0 } else { fit }
+    }
+
+    /// Most bytes that the contributors of so many pixels take; 0 where `steps` are taken.
+    pub fn contributor_bytes(&self, pixels: usize) -> usize {
+        let solves = self.static_method == StaticMethod::Solve;
+        if solves { self.contributors(pixels) * pixels * size_of::<trace::Contribution>() } else { 0 }
+    }
 }
 
 /// The static lane of a run. It keeps the contributors of each pixel: a fixed camera is traced once.
@@ -60,8 +68,8 @@ impl StaticLane {
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
-        let contributors = contributors(config, views);
-        if config.static_method == StaticMethod::Solve && contributors >= FEWEST_CONTRIBUTORS {
+        let contributors = config.contributors(views.iter().map(|v| v.camera.size().pixels()).sum());
+        if config.static_method == StaticMethod::Solve && contributors > 0 {
             self.trace(contributors, config.solve_degree, views, layer);
             solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
             return Ok(());
