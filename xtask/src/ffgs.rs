@@ -19,7 +19,7 @@ const FFGS: Program = Program {
     package: "ffgs-pipeline",
     name: "ffgs",
     commands: &[
-        "prepare", "convert", "run", "check", "stage", "render", "eval", "export", "view", "config",
+        "prepare", "track", "convert", "run", "check", "stage", "render", "eval", "export", "view", "config",
         "devices", "segment", "workflow",
     ],
 };

@@ -122,7 +122,7 @@ A capture, step by step:
   cargo xtask monaco make --out out/pool --section pool --weather rain
                                                         a complete small capture
   cargo xtask monaco check out/pool                     verify it and print figures
-  cargo xtask monaco tracks out/pool                    add the outputs of three trackers
+  cargo xtask monaco tracks out/pool                    add the outputs of our trackers, with their errors
   cargo xtask monaco sheet out/pool pool.jpg            look at it
   cargo xtask pipeline out/pool --out out/pool-run      reconstruct it
 

@@ -1,6 +1,6 @@
 //! The generator of captures (`fixtures/monaco`) in a virtual environment below the target folder.
 
-use crate::{setup, workspace};
+use crate::{ffgs, setup, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -40,9 +40,12 @@ impl Extent {
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<ExitCode> {
     let environment = Environment::open(root)?;
     environment.install(Extent::Rendering, Pip::Talks)?;
+    let mut python = environment.python();
+    if args.first().is_some_and(|command| command == "tracks") {
+        python.env("FFGS", ffgs::build(root)?);
+    }
     let words = if args.is_empty() { vec!["--help".to_owned()] } else { args.to_vec() };
-    let status =
-        environment.python().args(["-m", "monaco"]).args(words).status().context("cannot start Python")?;
+    let status = python.args(["-m", "monaco"]).args(words).status().context("cannot start Python")?;
     Ok(workspace::exit_code(status))
 }
 

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result};
 use ffgs_core::{is_present, read_bytes, refuse_link, write_atomically};
+use ffgs_prepare::Summary;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -101,6 +102,11 @@ impl RunFolder {
     /// The circle around what moves, a [`ffgs_report::Turntable`]; a run writes it at its end.
     pub fn turntable(&self) -> PathBuf {
         self.0.join("turntable.json")
+    }
+
+    /// How the capture was prepared, copied from it, where it was.
+    pub(crate) fn preparation(&self) -> PathBuf {
+        self.0.join(Summary::FILE)
     }
 
     /// How near to the truth the motion initialisation was, once `ffgs-lab motion-eval --run` has scored it.

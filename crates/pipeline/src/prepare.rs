@@ -45,7 +45,7 @@ pub struct PrepareArgs {
     /// Size of the capture's images in parts of the footage's
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub scale: f64,
-    /// Frames by which a camera's own video began too early, for cameras without timestamps
+    /// Frames by which a camera's own video began too early; with timestamps, against its own times
     #[arg(long, value_name = "CAMERA=FRAMES", value_parser = parse_offset, value_delimiter = ',', allow_hyphen_values = true)]
     pub offset: Vec<(String, i64)>,
     /// The calibration's unit of length: m, cm, mm, or metres in one unit

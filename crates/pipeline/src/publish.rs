@@ -6,8 +6,14 @@ use crate::json::{read_json, write_json};
 use crate::manifest::Manifest;
 use crate::record::{FrameRecord, Metrics, ViewMetrics};
 use anyhow::{Context, Result};
+use ffgs_core::{read_text, write_atomically};
+use ffgs_prepare::Summary;
 use ffgs_report::{Fact, FrameReport, ReportInput, SkipCount, ViewReport};
 use std::collections::BTreeMap;
+use std::io::{self, Write};
+
+/// It holds a sentence per camera and step.
+const MAX_PREPARATION_BYTES: u64 = 1 << 24;
 
 /// Writes `metrics.json` and `report.html`. The report copies the encoded pictures of each frame from its folder.
 ///
@@ -31,6 +37,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
         turntable: Some(folder.turntable()).filter(|path| path.exists()),
         configuration: manifest.config.to_toml()?,
         facts,
+        preparation: preparation(folder, manifest)?,
         frames: metrics.frames.iter().map(|f| frame_report(folder, f)).collect(),
         skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
         warnings: metrics
@@ -41,6 +48,24 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     };
     let report = folder.0.join("report.html");
     ffgs_report::write_report(&report, &input).with_context(|| format!("cannot write {}", report.display()))
+}
+
+/// How the capture was prepared. The file is copied, because the capture may be elsewhere when the report is made again.
+/// A run does not depend on it: a damaged one is told in the report.
+fn preparation(folder: &RunFolder, manifest: &Manifest) -> Result<Vec<Fact>> {
+    let (source, copy) = (manifest.capture_path.join(Summary::FILE), folder.preparation());
+    if let Ok(text) = read_text(&source, MAX_PREPARATION_BYTES) {
+        write_atomically::<io::Error>(&copy, |w| w.write_all(text.as_bytes()))
+            .with_context(|| format!("cannot write {}", copy.display()))?;
+    }
+    if !copy.is_file() {
+        return Ok(Vec::new());
+    }
+    let fact = |(name, value)| Fact { name, value };
+    Ok(match Summary::read(&copy) {
+        Ok(summary) => summary.rows.into_iter().map(fact).collect(),
+        Err(error) => vec![fact((Summary::FILE.to_owned(), error.to_string()))],
+    })
 }
 
 fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {

@@ -8,6 +8,8 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Its name in the capture.
+pub(crate) const FILE: &str = "prepare.json";
 /// It holds a sentence per camera and step.
 const MAX_JOURNAL_BYTES: u64 = 1 << 24;
 
@@ -29,6 +31,12 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
+    /// Reads a journal.
+    pub(crate) fn read(file: &Path) -> Result<Self, PrepareError> {
+        let text = read_text(file, MAX_JOURNAL_BYTES).map_err(|e| PrepareError::io(file, e))?;
+        serde_json::from_str(&text).map_err(|e| PrepareError::picture(file, e.to_string()))
+    }
+
     /// The journal of the output folder, or a new one. A folder with something else in it is refused.
     pub(crate) fn open(request: &Request) -> Result<Self, PrepareError> {
         let file = path(&request.out);
@@ -44,9 +52,7 @@ impl Journal {
                 Ok(new)
             };
         }
-        let text = read_text(&file, MAX_JOURNAL_BYTES).map_err(|e| PrepareError::io(&file, e))?;
-        let mut journal: Self =
-            serde_json::from_str(&text).map_err(|e| PrepareError::picture(&file, e.to_string()))?;
+        let mut journal = Self::read(&file)?;
         let wanted = settings(request);
         let differs = wanted.iter().find(|(key, value)| journal.settings.get(*key) != Some(*value));
         if let Some((key, value)) = differs
@@ -92,7 +98,7 @@ fn add(list: &mut Vec<String>, sentences: &[String]) {
 }
 
 fn path(out: &Path) -> PathBuf {
-    out.join("prepare.json")
+    out.join(FILE)
 }
 
 fn settings(request: &Request) -> BTreeMap<String, serde_json::Value> {

@@ -1,6 +1,6 @@
 //! The steps in their order.
 
-use crate::journal::Journal;
+use crate::journal::{self, Journal};
 use crate::networks::Networks;
 use crate::removal::remove;
 use crate::rig::{self, Rig, rig};
@@ -10,6 +10,7 @@ use crate::{PrepareError, Progress, Request, Step, camera_lists, extraction, mas
 use ffgs_calibration::{ColouredPoint, Footage, Pictures, detect};
 use ffgs_dataset::Capture;
 use glam::DVec3;
+use std::path::Path;
 
 /// What was read, made and assumed; prints as a table.
 #[derive(Clone, Debug, Default)]
@@ -45,16 +46,33 @@ fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, Prepa
             journal.finish(step, done, &request.out)?;
         }
     }
-    for step in Step::ALL {
-        let text = journal.steps.get(&step).cloned().unwrap_or_else(|| "not made".to_owned());
-        summary.row(&step.to_string(), text);
-    }
-    journal.assumed.iter().for_each(|text| summary.row("assumed", text));
-    journal.skipped.iter().for_each(|text| summary.row("skipped", text));
+    summary.add(&journal);
     Ok(summary)
 }
 
 impl Summary {
+    /// Name of the file of a capture that tells how it was prepared.
+    pub const FILE: &str = journal::FILE;
+
+    /// What such a file tells.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is none of `prepare`.
+    pub fn read(file: &Path) -> Result<Self, PrepareError> {
+        let mut summary = Self::default();
+        summary.add(&Journal::read(file)?);
+        Ok(summary)
+    }
+
+    fn add(&mut self, journal: &Journal) {
+        for step in Step::ALL {
+            let text = journal.steps.get(&step).cloned().unwrap_or_else(|| "not made".to_owned());
+            self.row(&step.to_string(), text);
+        }
+        journal.assumed.iter().for_each(|text| self.row("assumed", text));
+        journal.skipped.iter().for_each(|text| self.row("skipped", text));
+    }
+
     fn row(&mut self, label: &str, text: impl Into<String>) {
         self.rows.push((label.to_owned(), text.into()));
     }

@@ -36,10 +36,11 @@ pub(crate) fn schedule(
     timestamps: Option<&Path>,
     request: &Request,
 ) -> Result<Schedule, PrepareError> {
+    check_offsets(sequences, request)?;
     let table = timestamps.map(|file| read_timestamps(file, sequences)).transpose()?.flatten();
     let mut schedule = match table {
-        Some(table) => by_timestamps(&table, sequences),
-        None => by_rate(sequences, request)?,
+        Some(table) => by_timestamps(&table, sequences, request),
+        None => by_rate(sequences, request),
     };
     let all = schedule.frames.len();
     let taken = schedule.frames.into_iter().skip(request.start).step_by(request.every.max(1));
@@ -90,14 +91,29 @@ fn read_timestamps(file: &Path, sequences: &[Sequence]) -> Result<Option<Table>,
     Ok(named.then(|| rows.into_values().collect()))
 }
 
-fn by_timestamps(table: &Table, sequences: &[Sequence]) -> Schedule {
+fn check_offsets(sequences: &[Sequence], request: &Request) -> Result<(), PrepareError> {
+    let Some(unknown) = request.offsets.keys().find(|n| !sequences.iter().any(|s| s.name == **n)) else {
+        return Ok(());
+    };
+    let known = sequences.iter().map(|s| s.name.as_str()).collect::<Vec<_>>().join(", ");
+    Err(PrepareError::Footage(format!("--offset names camera {unknown}; the cameras are {known}")))
+}
+
+/// The picture of a camera that shows the moment of picture `i` (which may be negative), if the camera has one.
+fn shifted(sequence: &Sequence, i: i64, request: &Request) -> Option<usize> {
+    let offset = request.offsets.get(&sequence.name).copied().unwrap_or(0);
+    usize::try_from(i.checked_add(offset)?).ok().filter(|i| *i < sequence.pictures)
+}
+
+/// An offset moves a camera against its own timestamps: clocks of cameras can be wrong.
+fn by_timestamps(table: &Table, sequences: &[Sequence], request: &Request) -> Schedule {
     let mut schedule = Schedule::default();
     let mut spread: f64 = 0.0;
     for row in table {
-        let there: Option<Vec<(usize, f64)>> = row.iter().copied().collect();
-        let Some(row) = there.filter(|r| r.iter().zip(sequences).all(|((i, _), s)| *i < s.pictures)) else {
-            continue;
+        let at = |(entry, s): (&Option<(usize, f64)>, &Sequence)| {
+            entry.and_then(|(i, time)| Some((shifted(s, i as i64, request)?, time)))
         };
+        let Some(row) = row.iter().zip(sequences).map(at).collect::<Option<Vec<_>>>() else { continue };
         let times = row.iter().map(|(_, t)| *t);
         spread = spread.max(times.clone().fold(f64::MIN, f64::max) - times.fold(f64::MAX, f64::min));
         schedule.frames.push(row.iter().map(|(i, _)| *i).collect());
@@ -106,31 +122,22 @@ fn by_timestamps(table: &Table, sequences: &[Sequence]) -> Schedule {
         let lost = table.len() - schedule.frames.len();
         schedule.skipped.push(format!("{lost} of {} moments of timestamps.csv lack a camera", table.len()));
     }
-    schedule.assumed.push("pictures belong together by timestamps.csv".to_owned());
+    let moved = if request.offsets.is_empty() { "" } else { ", but for the cameras of --offset" };
+    schedule.assumed.push(format!("pictures belong together by timestamps.csv{moved}"));
     schedule.spread = Some(spread);
     schedule
 }
 
-fn by_rate(sequences: &[Sequence], request: &Request) -> Result<Schedule, PrepareError> {
-    if let Some(unknown) = request.offsets.keys().find(|n| !sequences.iter().any(|s| s.name == **n)) {
-        let known = sequences.iter().map(|s| s.name.as_str()).collect::<Vec<_>>().join(", ");
-        return Err(PrepareError::Footage(format!(
-            "--offset names camera {unknown}; the cameras are {known}"
-        )));
-    }
+fn by_rate(sequences: &[Sequence], request: &Request) -> Schedule {
     let slowest = sequences.iter().filter_map(|s| s.rate).fold(f64::INFINITY, f64::min);
     let ratio =
         |s: &Sequence| s.rate.map(|r| r / slowest).filter(|r| (r - 1.0).abs() > SAME_RATE).unwrap_or(1.0);
-    let offset = |s: &Sequence| request.offsets.get(&s.name).copied().unwrap_or(0);
-    let index = |s: &Sequence, frame: usize| {
-        let i = (frame as f64 * ratio(s)).round() as i64 + offset(s);
-        usize::try_from(i).ok().filter(|i| *i < s.pictures)
-    };
+    let index = |s: &Sequence, frame: usize| shifted(s, (frame as f64 * ratio(s)).round() as i64, request);
     let longest = sequences.iter().map(|s| s.pictures).max().unwrap_or(0);
     let frames = (0..longest).filter_map(|t| sequences.iter().map(|s| index(s, t)).collect()).collect();
     let mut schedule = Schedule { frames, ..Schedule::default() };
     describe(sequences, ratio, &mut schedule);
-    Ok(schedule)
+    schedule
 }
 
 fn describe(sequences: &[Sequence], ratio: impl Fn(&Sequence) -> f64, schedule: &mut Schedule) {
@@ -199,5 +206,12 @@ mod tests {
         assert_eq!(schedule.frames, [[0, 0], [2, 1]]);
         assert!((schedule.spread.unwrap() - 0.02).abs() < 1e-9);
         assert_eq!(schedule.skipped.len(), 1);
+        // Camera 0 is one picture ahead of its own times.
+        let moved = Request { offsets: [("cam_0".into(), -1)].into(), ..request() };
+        let found = super::schedule(&cameras, Some(&file), &moved).unwrap();
+        assert_eq!(found.frames, [[1, 1]]);
+        assert!(found.assumed[0].contains("--offset"));
+        let unknown = Request { offsets: [("cam_9".into(), 1)].into(), ..request() };
+        assert!(super::schedule(&cameras, Some(&file), &unknown).is_err());
     }
 }

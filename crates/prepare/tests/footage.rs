@@ -135,6 +135,8 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
     for file in ["masks.png", "tracks/tracks.json", "tracks/lucas_kanade/cam_0/000007.npz"] {
         assert!(request.out.join(file).is_file(), "{file}");
     }
+    let told = Summary::read(&request.out.join(Summary::FILE)).unwrap().to_string();
+    assert!(summary.to_string().ends_with(&told) && told.contains("assumed"), "{told}");
     // Nothing is made twice, what is forced is, and what is missing is made again.
     let stamp = |name: &str| fs::metadata(request.out.join(name)).unwrap().modified().unwrap();
     let before = (stamp("ims/cam_0/000000.png"), stamp("init_pt_cld.npz"));

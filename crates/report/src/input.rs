@@ -14,6 +14,8 @@ pub struct ReportInput {
     pub configuration: String,
     /// Program version, machine, seeds: one line each.
     pub facts: Vec<Fact>,
+    /// How the capture was made of footage: what was read, made, assumed and skipped; empty when that is not known.
+    pub preparation: Vec<Fact>,
     /// Frames in order.
     pub frames: Vec<FrameReport>,
     /// What was skipped and how often.

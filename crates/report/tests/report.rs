@@ -2,7 +2,7 @@
 
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
 use ffgs_report::{
-    FramePictures, FrameReport, ReportInput, Thumbnails, Turntable, ViewReport, motion_picture,
+    Fact, FramePictures, FrameReport, ReportInput, Thumbnails, Turntable, ViewReport, motion_picture,
     uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
@@ -74,6 +74,18 @@ fn a_circle_is_embedded_where_there_is_one() {
     let data = json(&html, "id=\"turntable-data\">", "</script>");
     assert_eq!((data["frame"].as_u64(), data["pictures"].as_array().unwrap().len()), (Some(7), 24));
     assert!(html.contains("<code>ffgs view .</code>"));
+}
+
+#[test]
+fn what_was_assumed_of_the_footage_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    write_report(&path, &run(folder.path())).unwrap();
+    assert!(!fs::read_to_string(&path).unwrap().contains("ffgs prepare"));
+    let preparation = vec![Fact { name: "assumed".into(), value: "units are <metres>".into() }];
+    write_report(&path, &ReportInput { preparation, ..run(folder.path()) }).unwrap();
+    let html = fs::read_to_string(&path).unwrap();
+    assert!(html.contains("How the capture was prepared") && html.contains("units are &lt;metres&gt;"));
 }
 
 /// A run folder may come from someone else: what its files of pictures hold must stay data.

@@ -6,7 +6,7 @@ use crate::extraction::file_name;
 use crate::pictures::{read_mask, write_rgb};
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use ffgs_dataset::{Capture, Split};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Frames of a camera, one beside the other.
 const FRAMES: usize = 4;
@@ -16,7 +16,7 @@ const CAMERAS: usize = 24;
 const WIDTH: usize = 320;
 
 /// Writes `masks.png`: a row per camera; what is no foreground is darkened.
-pub(crate) fn write(capture: &Capture, seg: &Path) -> Result<PathBuf, PrepareError> {
+pub(crate) fn write(capture: &Capture, seg: &Path) -> Result<(), PrepareError> {
     let views = capture.views(Split::Train);
     let spread = |count: usize, all: usize| (0..count.min(all)).map(move |i| i * all / count.min(all));
     let mut rows = Vec::new();
@@ -29,9 +29,7 @@ pub(crate) fn write(capture: &Capture, seg: &Path) -> Result<PathBuf, PrepareErr
         }
         rows.push(row);
     }
-    let path = sheet_path(capture.root());
-    write_rgb(&path, &joined(&rows))?;
-    Ok(path)
+    write_rgb(&sheet_path(capture.root()), &joined(&rows))
 }
 
 fn small(image: &ImageRgb8, mask: &Mask) -> ImageRgb8 {

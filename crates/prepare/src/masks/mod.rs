@@ -31,6 +31,9 @@ const VIEWS_THAT_ADD: u16 = 4;
 const SPECK: f64 = 2e-4;
 const HOLE: f64 = 1e-3;
 
+/// Name of the contact sheet in the capture.
+const SHEET: &str = "masks.png";
+
 /// A camera of the capture, for which masks are wanted.
 #[derive(Clone, Debug)]
 struct View {
@@ -84,11 +87,11 @@ pub(crate) fn make(
     }
     let seg = capture.root().join("seg");
     fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
-    let sheet = contact_sheet::write(capture, &seg)?;
+    contact_sheet::write(capture, &seg)?;
     let moving = views.len() - fixed;
     let hull =
         if moving > 0 { format!(", {moving} moving ones from the visual hull alone") } else { String::new() };
-    Ok(format!("made from the background of {fixed} fixed cameras{hull}; look at {}", sheet.display()))
+    Ok(format!("made from the background of {fixed} fixed cameras{hull}; look at {SHEET}"))
 }
 
 fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
@@ -210,5 +213,5 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
 
 /// Where the contact sheet lies.
 pub(crate) fn sheet_path(root: &Path) -> PathBuf {
-    root.join("masks.png")
+    root.join(SHEET)
 }
