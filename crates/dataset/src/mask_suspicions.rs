@@ -133,7 +133,8 @@ fn disagreement(capture: &dyn Capture, points: &Points, histories: &[ViewHistory
     let note = |(view, part): (usize, f64)| Note {
         file: capture.part(Part::Masks).join(&capture.views(Split::Train)[view]),
         text: format!(
-            "{:.0} % of the foreground lies where the masks of the other cameras have none (wrong masks, or a wrong pose)",
+            "{:.0} % of the foreground lies where the masks of the other cameras have none \
+             (wrong masks, a wrong pose, or images that are upside down)",
             part * 100.0
         ),
     };

@@ -155,3 +155,16 @@ fn masks_of_another_place_are_told() {
     let found = notes.iter().filter(|n| n.contains("where the masks of the other cameras have none"));
     assert!(found.clone().count() == 1 && found.clone().all(|n| n.contains("c2")), "{notes:#?}");
 }
+
+#[test]
+fn a_camera_that_is_upside_down_is_told() {
+    let turned = |m: GrayImage| image::imageops::rotate180(&m);
+    // The ball stays away from the middle, which turns about itself.
+    let shown = |i, t| {
+        let time = 0.3 * t as f64 - 4.0;
+        Shown { time, mask: if i == 2 { turned } else { unchanged }, ..sound(i, t) }
+    };
+    let notes = notes(&capture(shown));
+    let found = notes.iter().filter(|n| n.contains("upside down"));
+    assert!(found.clone().count() == 1 && found.clone().all(|n| n.contains("c2")), "{notes:#?}");
+}
