@@ -74,6 +74,7 @@ fn two_workers_one_of_them_killed_end_as_one_machine() {
     assert!(refused(plan(&one).args(["--seed", "2"])).contains("holds another plan"));
     assert!(refused(&mut work(&two, &["--only", "1"])).contains("--only scout1"));
     assert!(refused(&mut work(&two, &["--only", "scout1"])).contains("--only first"));
+    assert!(refused(&mut work(&two, &["--only", "first", "--memory", "60"])).contains("--memory"));
     assert!(refused(&mut join(&two)).contains("part 0 is not finished"));
     succeeds(&mut work(&one, &[]));
     succeeds(&mut join(&one));

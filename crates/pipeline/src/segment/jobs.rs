@@ -38,36 +38,45 @@ impl FromStr for Job {
     }
 }
 
+/// How a machine does its jobs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Worker<'a> {
+    pub(super) device: &'a Device,
+    /// As of [`RunRequest::memory`].
+    pub(super) memory: Option<usize>,
+    pub(super) quiet: bool,
+}
+
 /// Does every job that is not finished, one after another.
 ///
 /// # Errors
 /// When one fails; those before it are finished.
-pub(super) fn run_all(plan: &Plan, device: &Device, quiet: bool) -> Result<()> {
+pub(super) fn run_all(plan: &Plan, worker: Worker) -> Result<()> {
     let scout = (!plan.scouted().is_empty()).then_some(Job::Scout(None));
     let parts = (0..plan.parts().len()).map(Job::Part);
-    [Job::First].into_iter().chain(scout).chain(parts).try_for_each(|job| run_job(plan, job, device, quiet))
+    [Job::First].into_iter().chain(scout).chain(parts).try_for_each(|job| run_job(plan, job, worker))
 }
 
 /// Does a job, or what is left of it.
 ///
 /// # Errors
 /// When what it starts from is not finished, or it fails.
-pub(super) fn run_job(plan: &Plan, job: Job, device: &Device, quiet: bool) -> Result<()> {
-    let work = work(plan, job, device)?;
+pub(super) fn run_job(plan: &Plan, job: Job, worker: Worker) -> Result<()> {
+    let work = work(plan, job, worker)?;
     let folder = RunFolder(work.out.clone());
     let frames = work.frames.unwrap_or_default();
     let end = frames.end.unwrap_or(frames.start + 1);
-    if !quiet {
+    if !worker.quiet {
         terminal::note(format!("{}: frames {}..{end}", folder.0.display(), frames.start));
     }
     if folder.state(end - 1).exists() && folder.0.join("report.html").exists() {
         return Ok(());
     }
-    crate::run::run(&RunRequest { quiet, ..work }).map(|_| ())
+    crate::run::run(&work).map(|_| ())
 }
 
 /// The job as a run.
-fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
+fn work(plan: &Plan, job: Job, worker: Worker) -> Result<RunRequest> {
     let first = plan.frames.start;
     let request = |out: RunFolder, frames: Range<usize>| RunRequest {
         capture: plan.capture.clone(),
@@ -79,9 +88,9 @@ fn work(plan: &Plan, job: Job, device: &Device) -> Result<RunRequest> {
         first_frame: None,
         refine_first: None,
         keep: None,
-        memory: None,
-        device: device.clone(),
-        quiet: false,
+        memory: worker.memory,
+        device: worker.device.clone(),
+        quiet: worker.quiet,
         config: plan.config,
     };
     match job {

@@ -16,7 +16,7 @@ use crate::request::FrameRange;
 use crate::terminal;
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use jobs::{Job, run_all, run_job};
+use jobs::{Job, Worker, run_all, run_job};
 pub(crate) use plan::Plan;
 use std::path::PathBuf;
 
@@ -97,6 +97,9 @@ struct WorkArgs {
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
     #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     device: Device,
+    /// Most memory that a job may take [default: what the machine has free]; one that needs more does not start
+    #[arg(long, value_name = "MIB")]
+    memory: Option<usize>,
     /// Messages.
     #[command(flatten)]
     log: LogArgs,
@@ -127,9 +130,10 @@ pub(crate) fn main(args: &SegmentArgs) -> Result<()> {
             args.log.start();
             interrupt::explain_signals();
             let plan = Plan::read(&args.folder)?;
+            let worker = Worker { device: &args.device, memory: args.memory, quiet: args.log.quiet };
             match args.only {
-                Some(job) => run_job(&plan, job, &args.device, args.log.quiet)?,
-                None => run_all(&plan, &args.device, args.log.quiet)?,
+                Some(job) => run_job(&plan, job, worker)?,
+                None => run_all(&plan, worker)?,
             }
         }
         Command::Join(args) => {
