@@ -11,7 +11,7 @@ const MANIFEST: &str = "fixtures/MANIFEST.toml";
 /// Source code of the capture generator: reviewed as code, not as data.
 const SOURCES: &str = "fixtures/monaco/";
 const SCENES: &str = "fixtures/scenes/";
-/// A clone stays small: limits on what every clone downloads.
+/// A clone stays small: limits on what every clone downloads. One for all goldens, one for each scene.
 const GOLDEN_LIMIT: u64 = 8 << 20;
 const SCENE_LIMIT: u64 = 20 << 20;
 
@@ -93,10 +93,23 @@ fn totals(entries: &Entries) -> (u64, u64) {
     })
 }
 
+/// Bytes of each scene by its folder's name.
+fn scenes(entries: &Entries) -> BTreeMap<&str, u64> {
+    let mut sizes = BTreeMap::new();
+    for (path, entry) in entries {
+        let name = path.strip_prefix(SCENES).and_then(|rest| rest.split_once('/'));
+        if let Some((name, _)) = name {
+            *sizes.entry(name).or_insert(0) += entry.size;
+        }
+    }
+    sizes
+}
+
 fn over_limit(entries: &Entries) -> Vec<String> {
-    let (goldens, scenes) = totals(entries);
-    [("golden fixtures", goldens, GOLDEN_LIMIT), ("scenes", scenes, SCENE_LIMIT)]
-        .into_iter()
+    let goldens = ("golden fixtures", totals(entries).0, GOLDEN_LIMIT);
+    let scenes = scenes(entries).into_iter().map(|(name, size)| (name, size, SCENE_LIMIT));
+    std::iter::once(goldens)
+        .chain(scenes)
         .filter(|&(_, size, limit)| size >= limit)
         .map(|(what, size, limit)| format!("{what} hold {size} bytes, the limit is {limit}"))
         .collect()
@@ -173,6 +186,9 @@ mod tests {
         assert!(over_limit(&found).is_empty());
         found.get_mut("fixtures/voronoi/case.npz").unwrap().size = GOLDEN_LIMIT;
         assert_eq!(over_limit(&found).len(), 1);
+        found.get_mut("fixtures/scenes/s/a.png").unwrap().size = SCENE_LIMIT - 1;
+        found.insert("fixtures/scenes/t/a.png".into(), Entry { size: SCENE_LIMIT - 1, ..entry(b"x") });
+        assert_eq!(over_limit(&found).len(), 1, "each scene has its own limit");
         found.get_mut("fixtures/scenes/s/a.png").unwrap().size = SCENE_LIMIT;
         assert_eq!(over_limit(&found).len(), 2);
     }

@@ -9,6 +9,8 @@ pub struct Footage {
     pub cameras: Vec<SourceCamera>,
     /// Points of the scene, where the calibration has them.
     pub points: Vec<ColouredPoint>,
+    /// Whether these points are all that a reconstruction starts from; else others are added.
+    pub points_are_complete: bool,
     /// `timestamps.csv` with a time for every frame of every camera.
     pub timestamps: Option<PathBuf>,
     /// Metres in one unit of the poses, where the format says so.

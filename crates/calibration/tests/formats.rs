@@ -1,6 +1,7 @@
 //! One rig, written by hand in every format, must come back the same.
 
-use ffgs_calibration::{Distortion, Footage, Pictures, SourceCamera, detect};
+use ffgs_arrays::NpzWriter;
+use ffgs_calibration::{ColouredPoint, Distortion, Footage, Pictures, SourceCamera, detect};
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use std::fs;
 use std::path::Path;
@@ -310,6 +311,18 @@ fn a_capture_is_footage_too() {
     let footage = read(pictures.path(), "dynamic3dgs");
     assert_rig(&footage.cameras, false);
     assert!(footage.cameras.iter().all(|c| c.masks.is_some()));
+    assert!(footage.points.is_empty() && !footage.points_are_complete);
+
+    let rows = [[1.0, 2.0, 3.0, 0.0, 1.0, 0.2, 1.0], [f32::NAN; 7]];
+    let file = pictures.path().join("init_pt_cld.npz");
+    NpzWriter::new().f32("data", &[2, 7], rows.as_flattened()).write(&file).unwrap();
+    let footage = read(pictures.path(), "dynamic3dgs");
+    assert_eq!(footage.points, [ColouredPoint { position: DVec3::new(1.0, 2.0, 3.0), colour: [0, 255, 51] }]);
+    assert!(footage.points_are_complete);
+    fs::write(&file, "none").unwrap();
+    let (format, meta) = detect(pictures.path(), Some("dynamic3dgs")).unwrap();
+    let error = (format.read)(pictures.path(), &meta).unwrap_err().to_string();
+    assert!(error.contains("init_pt_cld.npz"), "{error}");
 }
 
 #[test]

@@ -20,6 +20,7 @@ mod removal;
 mod request;
 mod rig;
 mod stereo;
+mod sweep;
 mod timing;
 mod tracker_list;
 mod tracking;

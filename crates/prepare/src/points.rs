@@ -2,6 +2,7 @@
 
 use crate::hull::{Hull, Region, Silhouette, common_region, hull};
 use crate::stereo::{self, StereoPoint};
+use crate::sweep;
 use crate::{PrepareError, Progress};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{Camera, ImageRgb8, Mask};
@@ -10,8 +11,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Points of the hull and of the background at most.
-const HULL_POINTS: usize = 15_000;
-const DEPTH_POINTS: usize = 20_000;
+const HULL_POINTS: usize = 2_500;
+const DEPTH_POINTS: usize = 7_000;
 /// With fewer matched points their depths say nothing of the scene.
 const LEAST_MATCHED: usize = 100;
 /// Matched points round a pixel, one of whose depths it gets.
@@ -33,27 +34,45 @@ pub(crate) fn make(
     known: &[StereoPoint],
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
-    progress.advance("points", 0, 3);
+    progress.advance("points", 0, 4);
     let views = load(capture)?;
-    let (matched, from) = if known.is_empty() {
-        let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
+    let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
+    let (mut matched, from) = if known.is_empty() {
         (stereo::points(&pairs), "matched between cameras")
     } else {
         (known.to_vec(), "of the calibration")
     };
-    progress.advance("points", 1, 3);
-    let mut rows: Vec<Row> =
-        matched.iter().map(|p| row(p.position, p.colour, on_foreground(&views, p.position))).collect();
+    let counted = matched.len();
+    progress.advance("points", 1, 4);
+    matched.extend(sweep::points(&pairs, &matched));
+    let swept = matched.len() - counted;
+    progress.advance("points", 2, 4);
+    let mut rows = rows_of(&views, &matched);
     let hull = hull_rows(&views);
-    progress.advance("points", 2, 3);
+    progress.advance("points", 3, 4);
     let depth = depth_rows(&views, &matched);
-    let text =
-        format!("{} {from}, {} in the visual hull, {} spread in depth", rows.len(), hull.len(), depth.len());
+    let text = format!(
+        "{counted} {from}, {swept} by plane sweeps, {} in the visual hull, {} spread in depth",
+        hull.len(),
+        depth.len()
+    );
     rows.extend(hull);
     rows.extend(depth);
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
-    progress.advance("points", 3, 3);
+    progress.advance("points", 4, 4);
     Ok(text)
+}
+
+/// Writes points that need no others.
+pub(crate) fn keep(capture: &Capture, points: &[StereoPoint]) -> Result<String, PrepareError> {
+    let views = load(capture)?;
+    let rows = rows_of(&views, points);
+    NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
+    Ok(format!("{} of the footage", rows.len()))
+}
+
+fn rows_of(views: &[View], points: &[StereoPoint]) -> Vec<Row> {
+    points.iter().map(|p| row(p.position, p.colour, on_foreground(views, p.position))).collect()
 }
 
 fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {

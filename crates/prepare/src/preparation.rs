@@ -106,7 +106,13 @@ fn take(
             };
             masks::make(&capture, &beyond, progress)
         }
-        Step::Points => points::make(&capture, &known_points(footage, journal), progress),
+        Step::Points => {
+            let known = known_points(footage, journal);
+            if footage.points_are_complete {
+                return points::keep(&capture, &known);
+            }
+            points::make(&capture, &known, progress)
+        }
         _ => tracking::make_all(&capture, networks, progress),
     }
 }

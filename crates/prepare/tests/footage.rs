@@ -1,5 +1,6 @@
 //! A ball that rolls through a ring of cameras, from footage to a capture.
 
+use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use ffgs_dataset::{Capture, Split, check};
 use ffgs_prepare::{Layout, Request, Step, Summary, TestCameras, convert, prepare};
@@ -186,6 +187,23 @@ fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
     let summary = run(&request).to_string();
     assert!(summary.contains("2 to 3 pictures"), "{summary}");
     assert_eq!(Capture::open(&request.out).unwrap().frames(), 2);
+}
+
+#[test]
+fn points_of_a_capture_are_kept_as_they_are() {
+    let folder = footage(0, 1);
+    let first = request(&folder);
+    run(&first);
+    let again = tempfile::tempdir().unwrap();
+    let summary = run(&Request::new(first.out.clone(), again.path().join("capture"))).to_string();
+    assert!(summary.contains(" of the footage\n"), "{summary}");
+    let points = |out: &Path| {
+        let rows = NpzFile::open(&out.join("init_pt_cld.npz")).unwrap().f32("data").unwrap();
+        rows.rows::<7>().unwrap().iter().map(|row| [row[0], row[1], row[2]]).collect::<Vec<_>>()
+    };
+    let before = points(&first.out);
+    assert!(before.len() > 100);
+    assert_eq!(points(&again.path().join("capture")), before);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! `train_meta.json` of Dynamic3DGaussians: already a capture, undistorted, with world-to-camera poses.
 
 use super::{Format, checked, file_called, intrinsics, pose, read_text, square};
-use crate::{CalibrationError, Distortion, Footage, Lens, Pictures, Role, SourceCamera};
+use crate::{CalibrationError, ColouredPoint, Distortion, Footage, Lens, Pictures, Role, SourceCamera};
+use ffgs_arrays::{ArraysError, NpzFile};
 use ffgs_core::ImageSize;
-use glam::DMat4;
+use glam::{DMat4, DVec3};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +15,9 @@ pub(crate) const FORMAT: Format = Format {
     find: |folder| file_called(folder, "train_meta.json"),
     read,
 };
+
+/// More than the points of any scene take.
+const MOST_BYTES: usize = 1 << 30;
 
 #[derive(Deserialize)]
 struct MetaFile {
@@ -33,7 +37,25 @@ fn read(_: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     if test.is_file() {
         footage.cameras.extend(split(&test, home, Role::Test)?);
     }
+    let points = file.with_file_name("init_pt_cld.npz");
+    if points.is_file() {
+        footage.points = initial_points(&points)?;
+        footage.points_are_complete = true;
+    }
     Ok(footage)
+}
+
+/// Rows of position (m), colour (0 to 1) and foreground, which the masks say as well.
+fn initial_points(file: &Path) -> Result<Vec<ColouredPoint>, CalibrationError> {
+    let fail = |error: ArraysError| CalibrationError::content(file, error.to_string());
+    let data = NpzFile::open_within(file, MOST_BYTES).map_err(fail)?;
+    let data = data.shaped::<f64>("data", &[None, Some(7)]).map_err(fail)?;
+    let rows = data.rows::<7>().unwrap_or_default();
+    let point = |row: &[f64; 7]| {
+        let [x, y, z, rgb @ .., _] = *row;
+        ColouredPoint { position: DVec3::new(x, y, z), colour: rgb.map(|v| (v * 255.0).round() as u8) }
+    };
+    Ok(rows.iter().filter(|row| row.iter().all(|v| v.is_finite())).map(point).collect())
 }
 
 fn split(file: &Path, home: &Path, role: Role) -> Result<Vec<SourceCamera>, CalibrationError> {
