@@ -8,7 +8,7 @@ use crate::console::Console;
 use crate::device;
 use crate::devices::Devices;
 use crate::disocclusion;
-use crate::exposures::Exposures;
+use crate::exposures::{self, Exposures};
 use crate::few_views::trial;
 use crate::first_frame::sky_or_none;
 use crate::folder::RunFolder;
@@ -343,7 +343,7 @@ impl<'a> Job<'a> {
         }
         let first = train("first frame", views)?;
         let estimating = Instant::now();
-        let exposures = if config.exposures {
+        let exposures = if config.exposures && exposures::can_be_told(config.iterations, views.len()) {
             Exposures::estimate(&*self.capture, shots, views, &first.gaussians)
         } else {
             Exposures::default()
