@@ -90,10 +90,15 @@ ssize_t readv(int fd, const struct iovec *parts, int count) {
     return on_disk(fd, 1) && strikes(READ) ? -1 : REAL(readv)(fd, parts, count);
 }
 
+/* What the process has used so far: peak of memory, bytes read, time on processors. None of it repeats. */
+static int is_measurement(const char *path) {
+    return !strcmp(path, "/proc/self/status") || !strcmp(path, "/proc/self/io") || !strcmp(path, "/proc/self/stat");
+}
+
 /* Of what is opened only new files are counted. */
 static int opened(__typeof__(&open) real, const char *path, int flags, mode_t mode) {
-    if (no_time && !strcmp(path, "/proc/self/status")) {
-        errno = ENOENT; /* It tells the peak of memory, which is no number that repeats. */
+    if (no_time && is_measurement(path)) {
+        errno = ENOENT;
         return -1;
     }
     return flags & O_CREAT && strikes(OPEN) ? -1 : real(path, flags, mode);
