@@ -20,7 +20,7 @@ const FFGS: Program = Program {
     name: "ffgs",
     commands: &[
         "prepare", "track", "convert", "run", "check", "stage", "render", "eval", "export", "view", "config",
-        "devices", "segment", "workflow",
+        "devices", "segment", "workflow", "methods", "formats",
     ],
 };
 const LAB: Program = Program {

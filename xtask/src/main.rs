@@ -63,7 +63,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         args: Vec<String>,
     },
-    /// Install the Debian packages the project needs; does nothing when they are there.
+    /// Install what the checks and the player need: Debian packages (by apt-get), PlayCanvas and an ffmpeg with VMAF; does nothing when they are there.
     Setup,
     /// Check the project's own rules: crate edges, file sizes, names, leftovers, whitespace.
     Tidy,
@@ -90,7 +90,7 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         sbom: Option<std::path::PathBuf>,
     },
-    /// Kill, starve and mislead the program in every way that is known, and count what it does.
+    /// Test the program under kills, I/O errors, low memory and damaged inputs, and count the outcomes.
     #[cfg(unix)]
     Torture {
         #[command(flatten)]

@@ -1,6 +1,9 @@
 use glam::DVec3;
 use thiserror::Error;
 
+/// The constant spherical harmonic, `1 / (2 sqrt(pi))`: a colour is `SH_C0 * coefficient + 0.5`.
+pub const SH_C0: f32 = 0.282_094_8;
+
 /// Columns of a Gaussian set disagree in length, or a degree is out of range.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("Gaussian columns do not match: {0}")]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 /// The scene at one frame: two layers of Gaussians before a sky.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Stands still; only its colour changes. Shared, so that a device that holds it knows it again: a change of it
+    /// Stands still: its colours change, its shapes only where disocclusion trains them. Shared, so that a device that holds it knows it again: a change of it
     /// (`Arc::make_mut`) makes another one.
     pub static_layer: Arc<Gaussians>,
     /// In how many rounds a static Gaussian still is to be trained in full, because moving things hid it from most

@@ -7,6 +7,8 @@ use rayon::prelude::*;
 
 /// Median of a chi-squared variable with three degrees of freedom.
 pub(crate) const MEDIAN_CHI2: f64 = 2.366;
+/// Median length of a three-dimensional standard normal vector.
+pub(crate) const MEDIAN_LENGTH: f64 = 1.538;
 /// Squared Mahalanobis distance at which a robust weight falls to a quarter: far in the tail of a consistent estimate.
 const TAIL: f64 = 12.0;
 /// Least factor on a tracker's covariances; keeps weights finite where estimates agree exactly.

@@ -5,7 +5,7 @@
 //! and the search goes on with the rest.
 
 use crate::cells::{Cells, bounds};
-use crate::evidence::{Evidence, MEDIAN_CHI2};
+use crate::evidence::{Evidence, MEDIAN_CHI2, MEDIAN_LENGTH};
 use crate::members::Members;
 use crate::motion_fit::{MotionFit, fit_motion, jackknife, place_covariance};
 use crate::process_noise::median;
@@ -365,9 +365,6 @@ const EXPLAINED: f64 = 2.0;
 
 /// Factor by which a tracker's variance about a group's motion exceeds that about the parent's when it dissents.
 const DISSENT: f64 = 10.0;
-
-/// Median length of a three-dimensional standard normal vector.
-const MEDIAN_LENGTH: f64 = 1.538;
 
 /// The measured ones of `members`, thinned evenly to at most `most`, in the same order.
 fn measured_sample(

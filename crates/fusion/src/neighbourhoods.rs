@@ -1,5 +1,5 @@
 use crate::error::FusionError;
-use crate::evidence::{MEDIAN_CHI2, MIN_SCALE};
+use crate::evidence::{MEDIAN_CHI2, MEDIAN_LENGTH, MIN_SCALE};
 use crate::process_noise::median;
 use crate::rigid::{RigidMotion, fit_rigid};
 use glam::{DMat3, DQuat, DVec3};
@@ -143,10 +143,9 @@ struct Prediction {
 
 /// Re-weighting rounds of the robust fit.
 const ROUNDS: usize = 10;
-/// Median length of a three-dimensional standard normal vector.
-const MEDIAN_LENGTH: f64 = 1.538;
-/// Measured neighbours, the Gaussian included, that judge the neighbourhoods.
-const COMPARED: usize = 12;
+/// Measured neighbours, the Gaussian included, by which it is judged whether its own evidence, or a neighbourhood's motion, is more
+/// than an error of its trackers.
+pub(crate) const COMPARED: usize = 12;
 
 impl<'a> Cloud<'a> {
     fn new(

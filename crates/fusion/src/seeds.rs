@@ -1,5 +1,5 @@
 //! Places for new Gaussians where foreground is seen that no Gaussian explains: space carving by masks and colours (Kutulakos
-//! and Seitz 2000), a ray at a time.
+//! and Seitz 2000), one ray after another.
 //!
 //! Along the ray of such a pixel, a place is possible when it lies before what stands still, and in the masks of all views
 //! that see it but for the slack. Of the possible places the one is taken where the other views that lack an explanation

@@ -7,7 +7,7 @@ use crate::evidence::{Combined, Evidence, TrackerEstimate};
 use crate::flexibility::Flexibility;
 use crate::groups::{Groups, discover};
 use crate::input::FusionInput;
-use crate::neighbourhoods::local_rigid_motion;
+use crate::neighbourhoods::{COMPARED, local_rigid_motion};
 use crate::photographs::Photographs;
 use crate::prior::Prior;
 use crate::process_noise::median;
@@ -150,9 +150,6 @@ fn neighbourhoods(
     };
     Ok(wanted.iter().enumerate().map(|(i, wanted)| wanted.then(|| own(i))).collect())
 }
-
-/// Neighbours by which it is judged whether a Gaussian's own evidence is more than an error of its trackers.
-const COMPARED: usize = 12;
 
 /// Which Gaussians leave their group: a Gaussian's own evidence contradicts the group, and most of its neighbours' evidence is nearer to its
 /// deviation than to none.

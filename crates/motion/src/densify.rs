@@ -1,4 +1,4 @@
-//! Lines 41 and 42.
+//! Growth: removes faded Gaussians, splits or clones those with an uncertain position (Algorithm 1, lines 41 and 42).
 
 use crate::{MotionInput, pixel_sizes};
 use ffgs_core::{Dynamic, StageLog, sigmoid};

@@ -1,4 +1,4 @@
-//! Lines 25 to 34.
+//! Fusion of the trackers' positions with the prior to a posterior, and the move to it (Algorithm 1, lines 25 to 34).
 
 use crate::MotionInput;
 use crate::turn::turn;

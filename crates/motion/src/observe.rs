@@ -1,4 +1,4 @@
-//! Lines 3 to 19: what the trackers say of every Gaussian.
+//! Motion fields, agreement and association: what the trackers say of every Gaussian (Algorithm 1, lines 3 to 19).
 
 use crate::MotionInput;
 use crate::fields::{agree, count, densify_tracks, load};

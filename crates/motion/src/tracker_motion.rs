@@ -71,7 +71,7 @@ pub fn move_by(
         let expected = expected_places(input, observations, dynamic, log)?;
         let cameras: Vec<Camera> = input.step.now.iter().map(|view| view.camera).collect();
         let withdrawn = withdraw::withdraw(&cameras, &expected, observations);
-        log.skip("observations withdrawn: the place at t lies outside the image", withdrawn);
+        log.skip("observations dropped: the predicted position lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
     let mut photographs = Aligned::new(input, &dynamic.gaussians, dynamic.known_steps());

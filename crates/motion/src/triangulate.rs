@@ -1,4 +1,4 @@
-//! Lines 20 to 24.
+//! Triangulation of each tracker's observations to positions with covariances (Algorithm 1, lines 20 to 24).
 
 use crate::MotionInput;
 use anyhow::Result;

@@ -95,7 +95,7 @@ fn directions() -> impl Iterator<Item = DVec3> {
     })
 }
 
-/// Basis of 3D Gaussian Splatting up to degree 3, up to positive factors: a factor a band does not change the matrix,
+/// Basis of 3D Gaussian Splatting up to degree 3, up to positive factors: a factor per band does not change the matrix,
 /// factors within a band are kept.
 fn basis(d: DVec3) -> SVector<f64, BASIS> {
     let DVec3 { x, y, z } = d;

@@ -1,4 +1,4 @@
-//! Lines 35 to 40.
+//! Validation: Gaussians outside the masks at t are placed once more, then removed (Algorithm 1, lines 35 to 40).
 
 use crate::MotionInput;
 use anyhow::Result;
@@ -68,7 +68,7 @@ fn silhouettes(input: &MotionInput, means: &[DVec3], log: &mut StageLog) -> Resu
     let mut silhouettes = Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?;
     if marking.second_chance {
         let dropped = silhouettes.drop_flickering(means)?;
-        log.skip("masks without a say: they lack what all others hold", dropped);
+        log.skip("masks ignored: they miss objects that all other views show", dropped);
     }
     Ok(silhouettes)
 }

@@ -28,7 +28,7 @@ mod tests {
     use ffgs_core::{ImageSize, Intrinsics};
     use glam::DMat4;
 
-    /// Looks along z from the origin: 100 px wide, one pixel a metre at 100 m.
+    /// Looks along z from the origin: 100 px wide, one pixel per metre at 100 m.
     fn camera() -> Camera {
         let size = ImageSize { width: 100, height: 50 };
         Camera::new(Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 25.0 }, DMat4::IDENTITY, size).unwrap()

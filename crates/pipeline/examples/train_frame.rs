@@ -6,7 +6,7 @@ use ffgs_core::SkyCube;
 use ffgs_method::RenderMode;
 use ffgs_pipeline::{exposures::Exposures, frame::select_views, registry::open_capture};
 use ffgs_trainer::{
-    CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, from_points, robust_extent, train_first_frame,
+    CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, camera_extent, from_points, train_first_frame,
 };
 use std::path::Path;
 
@@ -22,7 +22,7 @@ fn main() -> Result<()> {
     let points = capture.points()?.context("the capture has no initial points")?;
     let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);
-    let extent = robust_extent(&gaussians);
+    let extent = camera_extent(&views);
     let start = FirstFrame { gaussians, sky: SkyCube::filled(64, [0.5; 3]) };
     let trained = train_first_frame(&CpuBackend, &config, &views, start, extent, 1, &mut |step| {
         if step.iteration % 50 == 0 {

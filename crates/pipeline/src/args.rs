@@ -96,7 +96,7 @@ pub struct StageArgs {
     long_about = "Reconstructs a capture. The first frame is trained from images; each later frame starts from the \
         one before it, moved by what the trackers saw, and is finetuned. The output folder receives splats (PLY), \
         rendered test views, metrics.json, run.json and report.html, which opens in any browser. Finished frames \
-        survive a kill; --resume goes on from there.",
+        are kept when the process is killed; --resume goes on from there.",
     after_help = "Examples:\n  ffgs run fixtures/scenes/fairmont-mini --out out/mini\n  \
         ffgs run CAPTURE --out out/quick --frames 0..3 --iterations 50\n  \
         ffgs run CAPTURE --out out/none --method none --first-frame out/mini   # compare without motion\n  \
@@ -135,7 +135,7 @@ pub struct RunArgs {
     /// Settings beyond these options; `ffgs config` prints them all with what they mean. Options win
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// Seed of every random choice; equal seeds give equal bytes
+    /// Seed of every random choice; equal seeds give equal bytes with the same version and kind of device
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Show the run in the browser while it goes on: prints the address of the page, and serves it until it is stopped

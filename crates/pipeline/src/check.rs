@@ -75,7 +75,7 @@ fn check_tracks(capture: &dyn Capture, images: ImageCheck, content: &mut CheckRe
             ffgs_tracks::check(&store, &training_cameras(capture), capture.frames())
         }
         Ok(None) => {
-            let text = "no tracks.json: only `ffgs run --method none` can be used".to_owned();
+            let text = "no tracks.json: the methods trackers, tracker:NAME and trackersplat cannot be used; `ffgs track` makes tracks".to_owned();
             content.notes.push(Note { file: folder, text });
             return TracksReport::default();
         }

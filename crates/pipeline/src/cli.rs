@@ -14,7 +14,7 @@ use std::process::ExitCode;
 /// Reconstructs moving scenes as 3D Gaussians, one frame after another.
 ///
 /// A capture is a folder with calibrated cameras (train_meta.json, test_meta.json), images (ims/), foreground masks
-/// (seg/), initial points (init_pt_cld.npz) and the motion that trackers found (tracks/).
+/// (seg/), initial points (init_pt_cld.npz) and the motion that trackers found (tracks/); `ffgs prepare` makes one from footage.
 #[derive(Debug, Parser)]
 #[command(name = "ffgs", version = VERSION, propagate_version = true, after_help = EXIT_CODES)]
 pub struct Cli {
@@ -34,7 +34,7 @@ pub enum Command {
     Prepare(crate::prepare::PrepareArgs),
     /// Track the images of a capture: sparse and medium trackers, and networks
     Track(crate::prepare::TrackArgs),
-    /// Write a frame of a capture for other tools
+    /// Convert a frame of a capture to nerfstudio or COLMAP
     Convert(crate::prepare::ConvertArgs),
     /// Show what a capture holds and every fault in it
     Check(CheckArgs),
@@ -46,7 +46,7 @@ pub enum Command {
     Workflow(crate::workflow::WorkflowArgs),
     /// Render a finished run: a camera, or a circle around the moving objects
     Render(RenderArgs),
-    /// Measure a finished run again
+    /// Compute PSNR, SSIM, flicker and VMAF of a finished run's test views
     Eval(EvalArgs),
     /// Write a finished run as files for other players
     Export(crate::export::ExportArgs),

@@ -1,5 +1,5 @@
 //! What moving things hid from the static layer so far, and its training where it comes to light
-//! (docs/adr/0042-what-was-hidden-is-learnt.md).
+//! (docs/adr/0042-disoccluded-gaussians-are-trained.md).
 
 use crate::devices::Devices;
 use crate::frame::cameras_and_masks;

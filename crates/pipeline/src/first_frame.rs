@@ -22,7 +22,7 @@ pub fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> S
         return sky;
     }
     tracing::info!(
-        "the views see no sky (indoors?): one colour stands behind everything, and the sky lane rests"
+        "the views see no sky (indoors?): the background is one constant colour, and no sky is trained"
     );
     SkyCube::none(sky.mean())
 }

@@ -1,5 +1,5 @@
 //! Information on the moving layer from one frame to the next: predicted, used as the prior of the finetuning, and
-//! increased by that of the frame's photographs (docs/adr/0019-what-a-frame-knows-is-kept.md).
+//! increased by that of the frame's photographs (docs/adr/0019-information-is-the-prior-of-the-next-frame.md).
 
 use ffgs_core::{Gaussians, Knowledge, Scene, TrainingView};
 use ffgs_fusion::symmetric_inverse;

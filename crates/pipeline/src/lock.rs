@@ -76,7 +76,7 @@ impl FolderLock {
                 return Ok(Self::beating(path, file, mine));
             }
         }
-        bail!("{} changes hands all the time; choose another --out", folder.display())
+        bail!("{} is locked by one process after another; choose another --out", folder.display())
     }
 
     fn beating(path: PathBuf, mut file: File, mut mine: Holder) -> Self {

@@ -160,7 +160,7 @@ impl Frame {
     /// Trains the dynamic layer on the photographs of frame `frame`, starting at this frame's Gaussians or, where `means` (N, 3) in
     /// metres is given, at those positions. The static layer and the sky stay, and what a run knows of the Gaussians
     /// from earlier frames is not used: `reconstruct` does all that.
-    #[pyo3(signature = (capture, frame, *, means=None, iterations=None, seed=0))]
+    #[pyo3(signature = (capture, frame, *, means=None, iterations=None, seed=1))]
     fn finetune(
         &self,
         py: Python<'_>,

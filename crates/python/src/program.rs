@@ -38,7 +38,7 @@ pub(crate) fn stage(
 /// Trains frame 0 of a capture from its initial points on the CPU, as a run does where the exposures of the cameras agree, and splits it
 /// into layers. Nothing is written.
 #[pyfunction]
-#[pyo3(signature = (capture, *, iterations=None, seed=0))]
+#[pyo3(signature = (capture, *, iterations=None, seed=1))]
 pub(crate) fn train_first_frame(
     capture: &Bound<'_, PyCapture>,
     iterations: Option<usize>,

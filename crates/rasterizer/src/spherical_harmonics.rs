@@ -1,8 +1,8 @@
 //! Real spherical harmonics in the basis and with the signs of 3D Gaussian Splatting.
 
+use ffgs_core::SH_C0;
 use glam::Vec3;
 
-const C0: f32 = 0.282_094_8;
 const C1: f32 = 0.488_602_5;
 const C2: [f32; 5] = [1.092_548_4, -1.092_548_4, 0.315_391_57, -1.092_548_4, 0.546_274_2];
 const C3: [f32; 7] =
@@ -13,7 +13,7 @@ const C3: [f32; 7] =
 pub fn basis(degree: usize, d: Vec3) -> [f32; 16] {
     let Vec3 { x, y, z } = d;
     let mut b = [0.0; 16];
-    b[0] = C0;
+    b[0] = SH_C0;
     if degree >= 1 {
         b[1] = -C1 * y;
         b[2] = C1 * z;

@@ -4,9 +4,9 @@
 use crate::error::InFile;
 use crate::format::Format;
 use crate::ply_header::ply_comment;
-use crate::quantise::{SH_C0, smallest_three, unorm};
+use crate::quantise::{smallest_three, unorm};
 use crate::{Problem, RenderMode, SplatError};
-use ffgs_core::{Gaussians, sigmoid, write_atomically};
+use ffgs_core::{Gaussians, SH_C0, sigmoid, write_atomically};
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;

@@ -2,9 +2,9 @@
 
 use crate::error::InFile;
 use crate::format::Format;
-use crate::quantise::{SH_C0, to_byte};
+use crate::quantise::to_byte;
 use crate::{Problem, SplatError};
-use ffgs_core::{Gaussians, sigmoid, write_atomically};
+use ffgs_core::{Gaussians, SH_C0, sigmoid, write_atomically};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::Path;

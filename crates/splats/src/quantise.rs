@@ -1,8 +1,5 @@
 //! Rounding that several formats share.
 
-/// Coefficient of the constant spherical harmonic: colour = `SH_C0 * dc + 0.5`.
-pub(crate) const SH_C0: f32 = 0.282_094_79;
-
 /// `value` (0..=1) as an unsigned integer of `bits` bits.
 pub(crate) fn unorm(value: f32, bits: u32) -> u32 {
     let top = ((1_u32 << bits) - 1) as f32;

@@ -1,8 +1,8 @@
 //! Shi and Tomasi's corners ("Good features to track", CVPR 1994), spread over the picture.
 
 use crate::pyramid::Level;
-use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Mask;
+use ffgs_core::kernel::{Kernel, dispatch, fma};
 
 /// Half the side of the window over which the gradients' products are summed.
 const RADIUS: usize = 3;

@@ -1,7 +1,7 @@
 //! Upright SIFT descriptors (Lowe, IJCV 2004, section 6) of a fixed scale.
 
 use crate::pyramid::Level;
-use crate::simd::{Kernel, dispatch, fma};
+use ffgs_core::kernel::{Kernel, dispatch, fma};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::LazyLock;
 

@@ -8,7 +8,6 @@ mod descriptors;
 mod lucas_kanade;
 mod matching;
 mod pyramid;
-mod simd;
 mod tracker;
 
 pub use descriptors::Descriptor;

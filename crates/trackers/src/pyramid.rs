@@ -1,4 +1,4 @@
-use crate::simd::{Kernel, dispatch};
+use ffgs_core::kernel::{Kernel, dispatch};
 use ffgs_core::{ImageRgb8, ImageSize};
 
 /// Pixels repeated around every level, so that windows may reach over the border.

@@ -5,8 +5,8 @@
 
 use crate::constants::{BETA1, BETA2, CORRECTED_STEPS, EPSILON};
 use crate::densify::IndexMap;
-use crate::simd::{Kernel, dispatch, fma};
 use ffgs_core::Gaussians;
+use ffgs_core::kernel::{Kernel, dispatch, fma};
 use rayon::prelude::*;
 
 /// Gaussians of one parallel task.
@@ -282,6 +282,8 @@ struct Chunk<'a> {
 }
 
 impl Kernel for Chunk<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let width = self.rates.len();

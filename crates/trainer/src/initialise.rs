@@ -1,6 +1,6 @@
 //! Gaussians from a point cloud, as 3D Gaussian Splatting starts.
 
-use ffgs_core::{Gaussians, logit};
+use ffgs_core::{Gaussians, SH_C0, logit};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
@@ -16,8 +16,6 @@ const THINNEST: f32 = 0.03;
 const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Opacity of a new Gaussian; 3DGS starts its balls at 0.1, discs on a known surface may start opaque.
 pub const INITIAL_OPACITY: f32 = 0.5;
-/// Zeroth spherical harmonic, `1 / (2 sqrt(pi))`.
-const SH0: f32 = 0.282_094_79;
 /// Scales outside these quantiles are clamped to them: duplicates would give needles, outliers would cover the view.
 const QUANTILES: [f64; 2] = [0.001, 0.99];
 /// Standard deviation (m) where points give no distance: a single point, or all at one place.
@@ -52,7 +50,7 @@ pub fn from_points(
         out.log_scales[i] = [s, s, s * around.thickness].map(f32::ln);
     }
     for (sh, rgb) in out.sh.chunks_exact_mut(stride).zip(colours) {
-        sh[0] = rgb.map(|v| (v - 0.5) / SH0);
+        sh[0] = rgb.map(|v| (v - 0.5) / SH_C0);
     }
     out
 }
@@ -164,7 +162,7 @@ mod tests {
         g.validate().unwrap();
         assert!(g.log_scales.iter().all(|s| (s[0].exp() - 0.3 * RADIUS).abs() < 1e-5));
         assert!((sigmoid(g.opacity_logits[7]) - INITIAL_OPACITY).abs() < 1e-6);
-        let back = g.sh_of(3)[0].map(|c| c * SH0 + 0.5);
+        let back = g.sh_of(3)[0].map(|c| c * SH_C0 + 0.5);
         assert!(back.iter().zip(colours[3]).all(|(a, b)| (a - b).abs() < 1e-6));
         assert_eq!(g.sh_of(3)[1..], [[0.0; 3]; 8]);
     }

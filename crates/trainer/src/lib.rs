@@ -20,7 +20,6 @@ mod loss;
 mod part;
 mod prior;
 mod schedule;
-mod simd;
 mod sky;
 mod sky_lane;
 mod static_lane;

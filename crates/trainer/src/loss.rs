@@ -11,8 +11,8 @@ mod region;
 mod tests;
 mod window;
 
-use crate::simd::dispatch;
 use block::{Channel, EMPTY_MAPS, Factors, Gradient, RowMaps, Statistics, Sums};
+use ffgs_core::kernel::dispatch;
 use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
 use rayon::prelude::*;
 use region::Spans;

@@ -4,7 +4,7 @@
 //! shared by two faces.
 
 use crate::constants::MIN_THROUGH;
-use crate::simd::{Kernel, dispatch};
+use ffgs_core::kernel::{Kernel, dispatch};
 use ffgs_core::{Camera, ImageSize, PlanarImage, SkyCube};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -198,6 +198,8 @@ struct AimRow<'a> {
 }
 
 impl Kernel for AimRow<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let (face, last) = (self.face_size as f32, self.face_size.saturating_sub(2) as f32);

@@ -1,4 +1,4 @@
-//! What criterion leaves below `target/criterion`: a folder `new` a case, with its name, its work and its times.
+//! What criterion leaves below `target/criterion`: a folder `new` per case, with its name, its work and its times.
 
 use anyhow::{Context, Result};
 use serde_json::Value;

@@ -1,6 +1,7 @@
 //! The project's own lints. Each rule is a pure function with a test that makes it fail.
 
 mod circles;
+mod decisions;
 mod edges;
 mod functions;
 mod kernels;
@@ -40,6 +41,7 @@ pub(crate) fn run(root: &Path) -> Result<String> {
     findings.extend(sources.iter().flat_map(manifests::check));
     findings.extend(circles::check(&sources));
     findings.extend(kernels::check(&sources));
+    findings.extend(decisions::check(&sources));
     let (lengths, long) = functions::check(&sources);
     findings.extend(long);
     findings.extend(edges::check(root, &sources)?);

@@ -38,7 +38,7 @@ pub(crate) struct Options {
     /// Only these kinds, by the names that the table shows
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     only: Vec<String>,
-    /// Cases of each kind a round instead of the usual number
+    /// Cases per kind and round instead of the usual number
     #[arg(long, value_name = "N")]
     cases: Option<usize>,
     /// Every call of `calls` and `io-errors` in turn, instead of some of them

@@ -1,6 +1,6 @@
 //! A yard with a wall around it, and four bodies that drive through it.
 
-use ffgs_core::{Gaussians, SkyCube, logit};
+use ffgs_core::{Gaussians, SH_C0, SkyCube, logit};
 use ffgs_method::Points;
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -9,22 +9,20 @@ use std::f64::consts::TAU;
 
 /// Degree of the spherical harmonics, as a run trains them.
 const DEGREE: usize = 3;
-/// Colour of SH coefficient 0.
-const C0: f64 = 0.282_094_791_773_878_14;
 /// Radius of the yard (m) and height of its wall (m).
 const YARD: [f64; 2] = [20.0, 8.0];
 /// Half axes of a body (m).
 const BODY: DVec3 = DVec3::new(2.1, 0.9, 0.7);
-/// Places of the bodies at frame 0 (m).
+/// Places of the bodies at frame 0 (m): they pass each other at half a metre and more.
 const PLACES: [DVec3; 4] = [
-    DVec3::new(-4.0, -3.0, 0.8),
-    DVec3::new(2.0, -1.0, 0.8),
-    DVec3::new(-1.0, 1.5, 0.8),
-    DVec3::new(4.0, 4.0, 0.8),
+    DVec3::new(-4.0, -4.2, 0.8),
+    DVec3::new(2.0, -1.4, 0.8),
+    DVec3::new(-1.0, 1.4, 0.8),
+    DVec3::new(4.0, 4.2, 0.8),
 ];
 /// Step of a body per frame (m), and its turn about the vertical (rad).
 const STEP: [f64; 2] = [0.5, 0.02];
-/// Frames after which a body drives back, so that long captures stay within the yard.
+/// Frames after which a body drives and turns back, so that long captures stay within the yard.
 const REACH: usize = 16;
 
 /// The truth at frame 0, and which body each dynamic Gaussian belongs to.
@@ -70,8 +68,8 @@ impl World {
     /// The dynamic layer at a frame: every body has driven on, or back, and turned.
     pub(super) fn dynamic_at(&self, frame: usize) -> Gaussians {
         let mut moved = self.dynamic.clone();
-        let turn = DQuat::from_rotation_z(STEP[1] * frame as f64);
-        let driven = STEP[0] * (frame + REACH).rem_euclid(2 * REACH).abs_diff(REACH) as f64;
+        let steps = (frame + REACH).rem_euclid(2 * REACH).abs_diff(REACH) as f64;
+        let (driven, turn) = (STEP[0] * steps, DQuat::from_rotation_z(STEP[1] * steps));
         for (i, &body) in self.bodies.iter().enumerate() {
             let along = DVec3::X * driven * if body % 2 == 0 { 1.0 } else { -1.0 };
             let mean = DVec3::from(moved.means[i].map(f64::from));
@@ -94,7 +92,7 @@ impl World {
         for (layer, moving) in [(&self.static_layer, false), (&self.dynamic, true)] {
             for i in (0..layer.len()).step_by(stride) {
                 let ([x, y, z], colour) = (layer.means[i], layer.sh_of(i)[0]);
-                let [r, g, b] = colour.map(|c| (f64::from(c) * C0 + 0.5).clamp(0.0, 1.0) as f32);
+                let [r, g, b] = colour.map(|c| (SH_C0 * c + 0.5).clamp(0.0, 1.0));
                 points.push([x, y, z, r, g, b], moving);
             }
         }
@@ -104,7 +102,7 @@ impl World {
 
 /// SH coefficient 0 of a colour (0..1).
 pub(super) fn sh0(colour: DVec3) -> [f32; 3] {
-    ((colour - 0.5) / C0).as_vec3().to_array()
+    ((colour - 0.5) / f64::from(SH_C0)).as_vec3().to_array()
 }
 
 /// A pattern with detail of every size from `1 / frequency` m down.

@@ -24,7 +24,7 @@ use crate::one_layer;
 use crate::photographs::{Photographs, view_order};
 use crate::saved::{Reader, Writer};
 use anyhow::{Result, ensure};
-use ffgs_core::{Gaussians, Scene, StageLog};
+use ffgs_core::{Gaussians, SH_C0, Scene, StageLog};
 use ffgs_method::{Finetuning, MotionMethod, Step};
 use ffgs_rasterizer::{Dropout, Gradients};
 use ffgs_trainer::{Adam, LearningRates, Schedule, Training, Update, camera_extent};
@@ -34,9 +34,6 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use terms::Poses;
-
-/// Colour per unit of SH coefficient 0.
-const SH0: f32 = 0.282_094_8;
 
 /// Settings of Dynamic 3D Gaussians. Weights are those of the terms of the loss, beside 1 for the photographs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -136,14 +133,14 @@ impl Dynamic3dgs {
         let stride = now.sh_stride();
         let own = |g: &Gaussians| g.sh.iter().step_by(stride).copied().collect::<Vec<_>>();
         let mut gradient = own(out);
-        let value = terms::stay(SH0 * self.config.colour, &own(now), &own(start), &mut gradient);
+        let value = terms::stay(SH_C0 * self.config.colour, &own(now), &own(start), &mut gradient);
         out.sh.iter_mut().step_by(stride).zip(gradient).for_each(|(out, gradient)| *out = gradient);
         value
     }
 
     fn rates(&self, extent: f32) -> LearningRates {
         let (means, quats) = (self.config.position_rate * extent, self.config.quat_rate);
-        let sh0 = self.config.colour_rate / SH0;
+        let sh0 = self.config.colour_rate / SH_C0;
         LearningRates { means, quats, sh0, scales: 0.0, opacities: 0.0, sh_rest: 0.0 }
     }
 }

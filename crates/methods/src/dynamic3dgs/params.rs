@@ -1,9 +1,8 @@
 //! `params.npz`, the file of Dynamic 3D Gaussians, for one frame.
 
-use super::SH0;
 use anyhow::Result;
 use ffgs_arrays::NpzWriter;
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, SH_C0};
 use std::path::Path;
 
 /// Writes what a frame changes: `means3D` (1, N, 3), `rgb_colors` (1, N, 3) and `unnorm_rotations` (1, N, 4), f32.
@@ -12,7 +11,7 @@ use std::path::Path;
 /// When the file cannot be written.
 pub(super) fn write(path: &Path, gaussians: &Gaussians) -> Result<()> {
     let count = gaussians.len();
-    let colours = gaussians.sh.iter().step_by(gaussians.sh_stride()).map(|sh| sh.map(|v| 0.5 + SH0 * v));
+    let colours = gaussians.sh.iter().step_by(gaussians.sh_stride()).map(|sh| sh.map(|v| 0.5 + SH_C0 * v));
     let mut out = NpzWriter::new();
     out.f32("means3D", &[1, count, 3], gaussians.means.as_flattened())
         .f32("rgb_colors", &[1, count, 3], colours.collect::<Vec<_>>().as_flattened())
@@ -37,7 +36,7 @@ mod tests {
         };
         assert_eq!(read("means3D", 3), gaussians.means.as_flattened());
         assert_eq!(read("unnorm_rotations", 4), gaussians.quats.as_flattened());
-        let colours: Vec<f32> = gaussians.sh.as_flattened().iter().map(|sh| 0.5 + SH0 * sh).collect();
+        let colours: Vec<f32> = gaussians.sh.as_flattened().iter().map(|sh| 0.5 + SH_C0 * sh).collect();
         assert_eq!(read("rgb_colors", 3), colours);
     }
 }

@@ -1,7 +1,6 @@
-use super::SH0;
 use crate::photographs::Comparison;
 use anyhow::Result;
-use ffgs_core::{Gaussians, ImageRgb8, Mask, TrainingView};
+use ffgs_core::{Gaussians, ImageRgb8, Mask, SH_C0, TrainingView};
 use ffgs_rasterizer::{Background, Gradients};
 
 /// Colours of what moves and what does not, of which nothing is trained.
@@ -24,7 +23,7 @@ impl<'a> Segmentation<'a> {
         coloured.log_scales.clone_from(&gaussians.log_scales);
         coloured.opacity_logits.clone_from(&gaussians.opacity_logits);
         for (i, sh) in coloured.sh.iter_mut().enumerate() {
-            *sh = if i < foreground { FOREGROUND } else { BACKGROUND }.map(|rgb| (rgb - 0.5) / SH0);
+            *sh = if i < foreground { FOREGROUND } else { BACKGROUND }.map(|rgb| (rgb - 0.5) / SH_C0);
         }
         let masks = views.iter().map(|view| image(&view.mask)).collect();
         let (comparison, gradients) = (Comparison::new(), Gradients::default());

@@ -1,6 +1,7 @@
 //! Whether a part of a group departs from its motion, as the photographs show it: its pixels of t-1 are looked up at t where
 //! the group takes them, and where the trackers say that they went.
 
+use super::normal::{LEAST_SCALE, NORMAL_MEDIAN};
 use super::photograph::Patch;
 use super::surface::{SurfacePoint, brightness};
 use ffgs_core::TrainingView;
@@ -8,10 +9,6 @@ use ffgs_fusion::{Groups, RigidMotion};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Median of the absolute value of a standard normal variable.
-const NORMAL_MEDIAN: f64 = 0.6745;
-/// Half the rounding step of an 8-bit photograph.
-const LEAST_SCALE: f64 = 0.5 / 255.0;
 /// Squared difference, in scales, of a pixel that is simply not the same.
 const UNLIKE: f64 = 9.0;
 /// Pixels of a square whose errors are alike.

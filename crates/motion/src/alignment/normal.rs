@@ -24,9 +24,9 @@ pub(crate) struct Joint {
 }
 
 /// Median of the absolute value of a standard normal variable.
-const NORMAL_MEDIAN: f64 = 0.6745;
+pub(super) const NORMAL_MEDIAN: f64 = 0.6745;
 /// Half the rounding step of an 8-bit photograph.
-const LEAST_SCALE: f64 = 0.5 / 255.0;
+pub(super) const LEAST_SCALE: f64 = 0.5 / 255.0;
 /// Differences beyond this many scales lose weight (Cauchy's weight, 95 % efficient on normal errors).
 const CAUCHY: f64 = 2.385;
 /// Edge of a square of pixels (px) whose errors are alike.

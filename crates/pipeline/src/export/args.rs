@@ -45,10 +45,10 @@ pub struct ExportArgs {
     /// How fine a stream is: 2 halves every step
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
     pub precision: f64,
-    /// Have a stream say how well each position is known, for the overlay of the page
+    /// Store the standard deviation of each position, for the viewer's overlay of uncertainty
     #[arg(long)]
     pub uncertainty: bool,
-    /// At which a stream plays
+    /// Playback rate of a stream (frames per second)
     #[arg(long, value_name = "FPS", default_value_t = 30.0, value_parser = factor)]
     pub frames_per_second: f64,
     /// Messages.
@@ -86,9 +86,9 @@ fn export_examples() -> String {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Layer {
-    /// What stands still.
+    /// The static layer.
     Static,
-    /// What moves.
+    /// The dynamic layer.
     Dynamic,
     /// What lies at infinity, as an equirectangular image.
     Sky,

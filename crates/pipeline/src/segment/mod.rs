@@ -60,7 +60,7 @@ pub(crate) struct PlanArgs {
     /// Frames from one key frame to the next
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     pub(crate) length: u32,
-    /// Frames A to B, B left out; `..B` is allowed; A is 0
+    /// Frames 0 to B-1, written `..B`
     #[arg(long, value_name = "A..B")]
     pub(crate) frames: Option<FrameRange>,
     /// Training cameras to use, by name

@@ -39,7 +39,7 @@ const BLEND_BACKWARD: f64 = 46.0;
 impl Counts {
     /// Floor of a kernel by its name; `None` for one that is no part of a step.
     ///
-    /// Sorting is counted by the lines that hold the keys: 8 bytes a pair.
+    /// Sorting is counted by the lines that hold the keys: 8 bytes per pair.
     pub fn floor(&self, kernel: &str) -> Option<Floor> {
         let [n, seen, spans, pairs] =
             [self.gaussians, self.in_sight, self.spans, self.pairs].map(|count| count as f64);

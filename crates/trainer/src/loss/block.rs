@@ -4,7 +4,7 @@ use super::region::Span;
 use super::window::{LANES, WINDOW, filter_columns, filter_row};
 use super::{BAND, MAX_COLUMNS, Padded};
 use crate::constants::{C1, C2, RADIUS};
-use crate::simd::{Kernel, fma};
+use ffgs_core::kernel::{Kernel, fma};
 use ffgs_core::{ImageSize, Mask};
 
 /// Rows a band needs, its own and the window's reach.
@@ -94,6 +94,8 @@ pub(super) struct Statistics<'a> {
 }
 
 impl Kernel for Statistics<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FMA: bool>(mut self) {
         for &span in self.spans {
@@ -203,6 +205,8 @@ pub(super) struct Gradient<'a> {
 }
 
 impl Kernel for Gradient<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FMA: bool>(mut self) {
         for &span in self.spans {

@@ -1,7 +1,7 @@
 //! The 11-tap Gaussian window of SSIM on fixed-size chunks.
 
 use crate::constants::RADIUS;
-use crate::simd::fma;
+use ffgs_core::kernel::fma;
 
 /// Columns a chunk of the filters handles: one AVX-512 register, two of AVX2.
 pub(super) const LANES: usize = 16;
