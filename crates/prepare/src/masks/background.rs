@@ -1,3 +1,4 @@
+use super::continuation::continued;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use rayon::prelude::*;
 
@@ -5,6 +6,15 @@ use rayon::prelude::*;
 const SAME_COLOUR: f32 = 14.0;
 /// Least standard deviation of a pixel (grey levels).
 const LEAST_SPREAD: f32 = 1.5;
+/// Below this share of a pixel's samples, those of one colour need not be the background: something may have covered it for longer.
+const SURE: f32 = 0.6;
+/// What a share of the samples is worth in grey levels away from what the surroundings tell of such a pixel.
+const SHARE_LEVELS: f32 = 120.0;
+/// A colour of at least this share, or one that is this near to what the surroundings tell (grey levels), is believed.
+const LEAST_SHARE: f32 = 0.35;
+const NEAR: f32 = 25.0;
+/// Standard deviation (grey levels) of a background that no sample shows.
+const UNSEEN_SPREAD: f32 = 4.0;
 /// Pixels that are used for the exposure.
 const EXPOSURE_PIXELS: usize = 4000;
 
@@ -27,20 +37,17 @@ impl Background {
             let reference = median_image(images);
             images.iter().map(|image| gain(image, &reference)).collect()
         };
-        let modes: Vec<([f32; 3], f32)> = (0..size.pixels())
-            .into_par_iter()
-            .map(|i| {
-                let sample =
-                    |s: usize| std::array::from_fn(|c| f32::from(images[s].data()[i * 3 + c]) * gains[s][c]);
-                let free = |s: &usize| masks.get(*s).is_none_or(|m| m.data()[i] == 0);
-                let mut samples: Vec<[f32; 3]> = (0..images.len()).filter(free).map(sample).collect();
-                if samples.is_empty() {
-                    samples = (0..images.len()).map(sample).collect();
-                }
-                mode(&samples)
-            })
-            .collect();
-        let (colour, spread) = modes.into_iter().unzip();
+        let samples = Samples { images, masks, gains };
+        let modes: Vec<Group> = (0..size.pixels()).into_par_iter().map(|i| mode(&samples.at(i))).collect();
+        let mut colour: Vec<[f32; 3]> = modes.iter().map(|m| m.colour).collect();
+        let mut spread: Vec<f32> = modes.iter().map(|m| m.spread).collect();
+        let unsure = |i: usize| modes[i].share < SURE || samples.free(i).next().is_none();
+        let unsure: Vec<usize> = (0..size.pixels()).filter(|&i| unsure(i)).collect();
+        let step = |i: usize, j: usize| samples.step(i, j);
+        let expected = continued(&colour, size, &unsure, &step);
+        for (&i, expected) in unsure.iter().zip(expected) {
+            (colour[i], spread[i]) = likeliest(&samples.at(i), expected);
+        }
         Self { size, colour, spread }
     }
 
@@ -50,9 +57,80 @@ impl Background {
     }
 }
 
-/// The mean of the largest group of samples of one colour, and its spread.
-fn mode(samples: &[[f32; 3]]) -> ([f32; 3], f32) {
-    let same = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(x, y)| (x - y).abs() <= SAME_COLOUR);
+/// What a fixed camera saw at several times.
+struct Samples<'a> {
+    images: &'a [ImageRgb8],
+    masks: &'a [Mask],
+    gains: Vec<[f32; 3]>,
+}
+
+impl Samples<'_> {
+    /// The samples of a pixel that no mask covers.
+    fn free(&self, i: usize) -> impl Iterator<Item = usize> {
+        (0..self.images.len()).filter(move |s| self.masks.get(*s).is_none_or(|m| m.data()[i] == 0))
+    }
+
+    fn colour(&self, s: usize, i: usize) -> [f32; 3] {
+        std::array::from_fn(|c| f32::from(self.images[s].data()[i * 3 + c]) * self.gains[s][c])
+    }
+
+    /// The colours of a pixel where it is free, else all of them.
+    fn at(&self, i: usize) -> Vec<[f32; 3]> {
+        let free: Vec<[f32; 3]> = self.free(i).map(|s| self.colour(s, i)).collect();
+        if free.is_empty() { (0..self.images.len()).map(|s| self.colour(s, i)).collect() } else { free }
+    }
+
+    /// The median, per channel, of what pixel `j` has more than `i` in the samples that show both (Weiss 2001).
+    fn step(&self, i: usize, j: usize) -> [f32; 3] {
+        let both = self.free(i).filter(|&s| self.masks.get(s).is_none_or(|m| m.data()[j] == 0));
+        let steps: Vec<[f32; 3]> = both
+            .map(|s| {
+                let (from, to) = (self.colour(s, i), self.colour(s, j));
+                std::array::from_fn(|c| to[c] - from[c])
+            })
+            .collect();
+        std::array::from_fn(|c| median(steps.iter().map(|step| step[c]).collect()))
+    }
+}
+
+/// The middle value; 0 of none.
+fn median(mut values: Vec<f32>) -> f32 {
+    values.sort_unstable_by(f32::total_cmp);
+    let n = values.len();
+    if n == 0 { 0.0 } else { f32::midpoint(values[(n - 1) / 2], values[n / 2]) }
+}
+
+fn farthest_channel(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max)
+}
+
+fn same(a: &[f32; 3], b: &[f32; 3]) -> bool {
+    farthest_channel(a, b) <= SAME_COLOUR
+}
+
+/// Samples of one colour.
+struct Group {
+    /// Their mean,
+    colour: [f32; 3],
+    /// standard deviation (grey levels),
+    spread: f32,
+    /// and share of all.
+    share: f32,
+}
+
+impl Group {
+    fn around(best: &[f32; 3], samples: &[[f32; 3]]) -> Self {
+        let members: Vec<&[f32; 3]> = samples.iter().filter(|b| same(best, b)).collect();
+        let n = members.len() as f32;
+        let mean: [f32; 3] = std::array::from_fn(|c| members.iter().map(|m| m[c]).sum::<f32>() / n);
+        let square = |m: &[f32; 3]| (0..3).map(|c| (m[c] - mean[c]) * (m[c] - mean[c])).fold(0.0, f32::max);
+        let variance = members.iter().map(|m| square(m)).sum::<f32>() / n;
+        Self { colour: mean, spread: variance.sqrt().max(LEAST_SPREAD), share: n / samples.len() as f32 }
+    }
+}
+
+/// The largest group of samples of one colour.
+fn mode(samples: &[[f32; 3]]) -> Group {
     let group = |a: &[f32; 3]| samples.iter().filter(|b| same(a, b)).count();
     let scatter = |a: &[f32; 3]| -> f32 {
         samples
@@ -63,13 +141,20 @@ fn mode(samples: &[[f32; 3]]) -> ([f32; 3], f32) {
     };
     let better =
         |a: &&[f32; 3], b: &&[f32; 3]| group(a).cmp(&group(b)).then(scatter(b).total_cmp(&scatter(a)));
-    let best = samples.iter().max_by(better).expect("there are samples");
-    let members: Vec<&[f32; 3]> = samples.iter().filter(|b| same(best, b)).collect();
-    let n = members.len() as f32;
-    let mean: [f32; 3] = std::array::from_fn(|c| members.iter().map(|m| m[c]).sum::<f32>() / n);
-    let square = |m: &[f32; 3]| (0..3).map(|c| (m[c] - mean[c]) * (m[c] - mean[c])).fold(0.0, f32::max);
-    let variance = members.iter().map(|m| square(m)).sum::<f32>() / n;
-    (mean, variance.sqrt().max(LEAST_SPREAD))
+    Group::around(samples.iter().max_by(better).expect("there are samples"), samples)
+}
+
+/// Colour and spread by how many samples agree and by what the surroundings tell.
+fn likeliest(samples: &[[f32; 3]], expected: [f32; 3]) -> ([f32; 3], f32) {
+    let groups = samples.iter().map(|best| Group::around(best, samples));
+    let far = |g: &Group| farthest_channel(&g.colour, &expected);
+    let worth = |g: &Group| SHARE_LEVELS * g.share - far(g);
+    let best = groups.max_by(|a, b| worth(a).total_cmp(&worth(b))).expect("there are samples");
+    if best.share > LEAST_SHARE || far(&best) < NEAR {
+        (best.colour, best.spread)
+    } else {
+        (expected, UNSEEN_SPREAD)
+    }
 }
 
 fn stride(pixels: usize) -> usize {
@@ -128,6 +213,20 @@ mod tests {
             assert!((background.colour[i][0] - gradient(i)).abs() < 4.0, "{i} {:?}", background.colour[i]);
         }
         assert!((background.gain(&images[2])[0] - 1.0 / 1.1).abs() < 0.02);
+    }
+
+    /// A patterned thing, 14 columns long, moves by a column per frame: some columns are hidden in all ten frames, others in most.
+    #[test]
+    fn what_covers_a_pixel_for_most_of_the_time_is_not_its_background() {
+        let gradient = |i: usize| 60.0 + 3.0 * (i % 32) as f32;
+        let thing = |i: usize, t: usize| (4 + t..18 + t).contains(&(i % 32)).then(|| i % 32 - t - 4);
+        let pattern = |column: usize| [250, 10, 190, 40, 220, 160, 5][column / 2];
+        let images: Vec<ImageRgb8> =
+            (0..10).map(|t| picture(|i| thing(i, t).map_or(gradient(i) as u8, pattern))).collect();
+        let background = Background::learn(&images, &[]);
+        let error = |i: usize| (background.colour[i][0] - gradient(i)).abs();
+        let worst = (0..SIZE.pixels()).map(error).fold(0.0, f32::max);
+        assert!(worst < 25.0, "{worst}");
     }
 
     #[test]

@@ -94,8 +94,9 @@ impl Costs {
 /// background.
 const VOTE: f32 = 1.5;
 const MOST: f32 = 2.0;
-/// What a pixel that other views deny or confirm says besides.
-const DENIED: f32 = -3.0;
+/// What a pixel that other views deny or confirm says besides. They deny softly: what hides a thing from them is not known, nor is what
+/// lies beyond the region that they look at together.
+const DENIED: f32 = -0.7;
 const CONFIRMED: f32 = 1.0;
 
 /// What each pixel says for itself, by its score, and by what other views find possible and confirm.
@@ -103,14 +104,15 @@ pub(crate) fn votes(scores: &[f32], possible: &Mask, confirmed: &Mask) -> Vec<f3
     let size = possible.size();
     let highest = around(scores, size);
     let vote = |i: usize| {
-        if possible.data()[i] == 0 {
-            return DENIED;
-        }
         // A pixel that the outline crosses differs half as much as the one beside it.
         let part = scores[i] / highest[i].max(1e-3);
         let score = if part < 0.5 { scores[i].min(2.0 * part) } else { scores[i] };
         let own = (VOTE * score.max(1e-3).ln()).clamp(-MOST, MOST);
-        if confirmed.data()[i] == 1 { own + CONFIRMED } else { own }
+        match (possible.data()[i], confirmed.data()[i]) {
+            (0, _) => own + DENIED,
+            (_, 1) => own + CONFIRMED,
+            _ => own,
+        }
     };
     (0..scores.len()).map(vote).collect()
 }
@@ -166,9 +168,11 @@ mod tests {
     }
 
     #[test]
-    fn what_other_views_deny_is_no_foreground() {
-        let votes = votes(&[5.0; 4], &mask(&[1, 1, 0, 1]), &mask(&[0, 1, 0, 0]));
-        assert!(votes[2] < 0.0 && votes[0] > 0.0 && votes[1] > votes[0], "{votes:?}");
+    fn other_views_deny_what_is_doubtful_and_not_what_is_clear() {
+        let found = |score: f32| votes(&[score; 3], &mask(&[0, 1, 1]), &mask(&[0, 0, 1]));
+        let (doubtful, clear) = (found(1.3), found(5.0));
+        assert!(doubtful[0] < 0.0 && doubtful[1] > 0.0 && clear[0] > 0.0, "{doubtful:?} {clear:?}");
+        assert!(clear[0] < clear[1] && clear[1] < clear[2], "{clear:?}");
     }
 
     fn mask(values: &[u8]) -> Mask {

@@ -16,7 +16,7 @@ const SHADOW: (f32, f32) = (0.35, 0.95);
 /// and the colour as it was, to so many grey levels,
 const SHADOW_COLOUR: f32 = 7.0;
 /// and counts for so much.
-const SHADOW_SCORE: f32 = 0.3;
+const SHADOW_SCORE: f32 = 0.5;
 
 /// How much each pixel differs from the background.
 pub(crate) fn raw(image: &ImageRgb8, background: &Background) -> Vec<f32> {
@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn shadows_score_less_than_things() {
         let grass = [90.0, 140.0, 60.0];
-        assert!(score(grass.map(|v| 0.6 * v), grass, 2.0) < WEAK * 1.5);
+        assert!(score(grass.map(|v| 0.82 * v), grass, 2.0) < WEAK);
         assert!(score([140.0, 90.0, 60.0], grass, 2.0) > HIGHEST);
         assert!(score(grass.map(|v| v + 3.0), grass, 2.0) < WEAK);
     }

@@ -2,6 +2,7 @@
 
 mod background;
 mod contact_sheet;
+mod continuation;
 mod cut;
 mod difference;
 mod regions;
@@ -185,7 +186,7 @@ struct Agreed {
     confirmed: Mask,
 }
 
-/// What no other view denies, and what the others see though the difference is weak here.
+/// What a view found itself, and what the others see though the difference is weak here.
 fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Agreed> {
     let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
     let region = common_region(&fixed);
@@ -201,10 +202,8 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
         };
         let own = &own.next().expect("a silhouette per score").mask;
         let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
-        let data = (0..own.data().len()).map(|i| {
-            let kept = own.data()[i] & allowed.data()[i];
-            kept | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS))
-        });
+        let data = (0..own.data().len())
+            .map(|i| own.data()[i] | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS)));
         let mask = Mask::new(camera.size(), data.collect()).expect("one value a pixel");
         Agreed { mask: without_specks(&mask, SPECK, HOLE), possible: allowed, confirmed: add }
     };
