@@ -139,7 +139,13 @@ fn masks_are_there_for_all_images_or_for_none() {
     let still = report(folder.path());
     assert!(still.is_usable() && still.notes.iter().any(|n| n.text.contains("every training mask is empty")));
     fs::remove_file(seg.join("b/000001.png")).unwrap();
-    assert_fault(folder.path(), "1 of 2 masks are missing, the first is 000001.png");
+    let some = report(folder.path());
+    let told = "1 of 2 masks are missing, the first is 000001.png; they count as empty";
+    assert!(some.is_usable() && some.notes.iter().any(|n| n.text == told), "{some}");
+    for name in ["a/000000.png", "a/000001.png"] {
+        fs::remove_file(seg.join(name)).unwrap();
+    }
+    assert_fault(folder.path(), "2 of 2 masks are missing, the first is 000000.png");
     fs::remove_dir_all(seg).unwrap();
     let without = report(folder.path());
     assert!(without.is_usable() && without.notes.iter().any(|n| n.text.contains("no masks")), "{without}");

@@ -61,7 +61,7 @@ impl InformationFuser {
         photographs: &mut dyn Photographs,
     ) -> Result<Fused, FusionError> {
         check(input)?;
-        let predicted = predict(input, &self.config)?;
+        let mut predicted = predict(input, &self.config)?;
         let (q, evidence) = rayon::join(
             || median_displacement(&predicted, input.estimates),
             || Evidence::new(input.estimates),
@@ -72,6 +72,13 @@ impl InformationFuser {
             Structure::None => None,
             _ => structured(input, &evidence, &self.config, photographs)?,
         };
+        if let (None, Structure::RigidGroups, Some(steps)) =
+            (&structure, self.config.structure, input.previous_steps)
+        {
+            // Nothing was measured: all go on as they moved.
+            check_column("previous_steps", steps.len(), predicted.len())?;
+            predicted = input.prior_means.iter().zip(steps).map(|(&mean, &step)| mean + step).collect();
+        }
         let states: Vec<State> = (0..predicted.len())
             .into_par_iter()
             .map(|i| match &structure {

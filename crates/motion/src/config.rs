@@ -72,7 +72,7 @@ pub struct MarkingConfig {
     pub second_chance: bool,
     /// Whether both layers are marked again at t-1 in every frame.
     pub every_frame: bool,
-    /// Share of the dynamic layer lost in one frame beyond which the run warns.
+    /// Share of an object of the dynamic layer that one frame's masks lack, beyond which the run warns and waits for the next.
     pub loss_warning: f64,
 }
 

@@ -3,8 +3,9 @@
 use crate::MotionInput;
 use anyhow::Result;
 use ffgs_core::{Dynamic, StageLog};
-use ffgs_fusion::{Silhouettes, second_chance};
+use ffgs_fusion::{Silhouettes, second_chance, spatial_objects};
 use glam::DVec3;
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Lines 35 to 40: Gaussians outside the masks are removed; with `marking.second_chance` when their neighbours' motion does not
@@ -27,7 +28,7 @@ pub(crate) fn validate_positions(
     }
     let shown = silhouettes.shown(&means);
     let wait = doubts(input, dynamic, &valid, &shown, log);
-    let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait && shown[i]).collect();
+    let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait[i] && shown[i]).collect();
     let unseen = shown.iter().filter(|shown| !**shown).count();
     log.skip("Gaussians removed: in no camera's image", unseen);
     log.skip("Gaussians removed: outside the masks", means.len() - kept.len() - unseen);
@@ -41,23 +42,36 @@ pub(crate) fn validate_positions(
     Ok(())
 }
 
-/// Whether those outside the masks stay for now: one frame's masks may be wrong, so many go only when the next agrees.
+/// Objects with a smaller share of the layer are not asked for by themselves: debris comes and goes.
+const DEBRIS: f64 = 0.05;
+
+/// (N) whether those outside the masks stay for now: one frame's masks may be wrong, so many of an object go only when
+/// the next frame agrees.
 fn doubts(
     input: &MotionInput,
     dynamic: &mut Dynamic,
     valid: &[bool],
     shown: &[bool],
     log: &mut StageLog,
-) -> bool {
-    let lost = valid.iter().zip(shown).filter(|(valid, shown)| !**valid && **shown).count();
-    let many = lost as f64 > input.config.marking.loss_warning * valid.len() as f64;
-    let wait = many && !dynamic.masks_doubted && input.config.marking.second_chance;
-    dynamic.masks_doubted = wait;
-    if many {
-        let what = if wait { "stay until the next frame agrees" } else { "go" };
-        log.warn(format!("{lost} of {} dynamic Gaussians left the masks: they {what}", valid.len()));
+) -> Vec<bool> {
+    let objects = spatial_objects(input.previous, &input.config.fusion.groups);
+    let mut counts: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for (i, object) in objects.iter().enumerate() {
+        let [lost, all] = counts.entry(*object).or_default();
+        *lost += usize::from(!valid[i] && shown[i]);
+        *all += 1;
     }
-    wait
+    let large = DEBRIS * valid.len() as f64;
+    counts.retain(|_, [lost, all]| {
+        *lost as f64 > input.config.marking.loss_warning * *all as f64 && *all as f64 >= large
+    });
+    let wait = !counts.is_empty() && !dynamic.masks_doubted && input.config.marking.second_chance;
+    dynamic.masks_doubted = wait;
+    let what = if wait { "stay until the next frame agrees" } else { "go" };
+    for [lost, all] in counts.values() {
+        log.warn(format!("{lost} of {all} dynamic Gaussians of an object left the masks: they {what}"));
+    }
+    objects.iter().map(|object| wait && counts.contains_key(object)).collect()
 }
 
 /// The masks at t; those that lack what all others hold have no say.

@@ -38,6 +38,22 @@ impl fmt::Display for CaptureCheck {
     }
 }
 
+/// Notes that a run repeats at most.
+const NOTES: usize = 8;
+
+impl CaptureCheck {
+    /// Repeats what a run goes on with as warnings.
+    pub(crate) fn warn(&self) {
+        let notes = self.tracks.notes.iter().cloned();
+        let content = self.content.notes.iter().map(|note| format!("{}: {}", note.file.display(), note.text));
+        let notes: Vec<String> = notes.chain(content).collect();
+        notes.iter().take(NOTES).for_each(|note| tracing::warn!("{note}"));
+        if let Some(more @ 1..) = notes.len().checked_sub(NOTES) {
+            tracing::warn!("and {more} notes more: `ffgs check` lists them");
+        }
+    }
+}
+
 /// Reads every file of the capture and its trackers; images as `images` says. The bar (unless `quiet`) counts images.
 ///
 /// # Errors

@@ -105,7 +105,8 @@ pub(crate) fn require(
     let gaussians = match &request.first_frame {
         Some(run) => contained(&RunFolder(run.clone()).state(start), SAVED[0]),
         None => {
-            contained(&capture.part(Part::Points), SAVED[1]).min(request.config.first_frame.max_gaussians)
+            // Points beyond the limit all start as Gaussians; only growth ends there.
+            contained(&capture.part(Part::Points), SAVED[1]).max(request.config.first_frame.max_gaussians)
         }
     };
     let need = Need::new(&request.config, Size { pixels, gaussians, streams });

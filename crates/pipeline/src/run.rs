@@ -108,6 +108,7 @@ impl<'a> Job<'a> {
         if !check.is_usable() {
             bail!("the capture cannot be used:\n{check}");
         }
+        check.warn();
         Self::on(open_capture(&request.capture)?, request)
     }
 

@@ -41,13 +41,14 @@ const MISTAKES: &[Mistake] = &[
         "like row, column",
     ),
     ("tracks of another size", |root| tracks(root, double), Fault, "like those of another size"),
-    ("a frame without tracks", without_tracks, Fault, "no view has a file for frame 2"),
+    ("a frame without tracks", without_tracks, Usable, "no view has a file for frame 2"),
     (
         "an image of another size",
         |root| resized(root, "ims"),
         Fault,
         "is 40 x 30, but its camera is 256 x 144",
     ),
+    ("a mask is missing", |root| fs::remove_file(root.join(MASK)).unwrap(), Usable, "count as empty"),
     ("an image is missing", |root| fs::remove_file(root.join(IMAGE)).unwrap(), Fault, "trk003/000001.png"),
     ("an image is cut off", cut_off, Fault, "not a readable image"),
     ("test cameras are training cameras", shared, Usable, "also trained on"),
@@ -58,6 +59,7 @@ const MISTAKES: &[Mistake] = &[
 /// The camera at which one-camera mistakes are made.
 const CAMERA: &str = "trk003";
 const IMAGE: &str = "ims/trk003/000001.png";
+const MASK: &str = "seg/trk003/000001.png";
 
 #[test]
 fn every_gross_mistake_is_named() {

@@ -22,12 +22,26 @@ pub struct TrackerSummary {
     pub tracks: usize,
     /// Rows or pixels left out as not finite or unknown.
     pub dropped: usize,
-    /// Correspondences that start outside of the image.
+    /// Visible correspondences that start outside of the image.
     pub outside: usize,
     /// Of those, how many would start inside with column and row exchanged.
     pub inside_exchanged: usize,
     /// Frames for which no view has a file, though other frames have some.
     pub frames_without: Vec<usize>,
+}
+
+impl TrackerSummary {
+    /// Why it has no track, and what to do.
+    fn emptiness(&self) -> Option<(String, &'static str)> {
+        let Self { name, files, missing, .. } = self;
+        if *files > 0 {
+            let problem = format!("tracker '{name}': zero tracks in all of its {files} files");
+            return Some((problem, "run the tracker again, or remove it from tracks/tracks.json"));
+        }
+        let problem = format!("tracker '{name}': none of its {missing} files exists");
+        (*missing > 0)
+            .then_some((problem, "correct its pattern in tracks/tracks.json, or remove the tracker"))
+    }
 }
 
 /// More of the tracks than this outside of the image are a mistake and no overshoot at its border.
@@ -42,6 +56,8 @@ pub struct TracksReport {
     pub list: PathBuf,
     /// What must be mended.
     pub faults: Vec<Fault>,
+    /// What a run goes on with: a tracker or a frame without files beside trackers that have some.
+    pub notes: Vec<String>,
 }
 
 /// Reads, in parallel, the file of every tracker for `cameras` (folder name, image size) and the motions into
@@ -51,6 +67,7 @@ pub fn check(store: &TrackStore, cameras: &[(String, ImageSize)], frames: usize)
     for tracker in 0..store.trackers().len() {
         check_tracker(store, tracker, cameras, frames, &mut report);
     }
+    report.judge_empty();
     if report.trackers.is_empty() {
         report.add("it lists no tracker", "list at least one tracker, or remove the file");
     }
@@ -107,7 +124,7 @@ fn check_tracker(
 struct Counts {
     kept: usize,
     dropped: usize,
-    /// Correspondences that start outside of the image.
+    /// Visible correspondences that start outside of the image.
     outside: usize,
     /// Of those, how many would start inside with column and row exchanged.
     inside_exchanged: usize,
@@ -126,21 +143,17 @@ fn outside(motion: &ViewMotion, size: ImageSize) -> (usize, usize) {
     let ViewMotion::Tracks(tracks) = motion else { return (0, 0) };
     let (width, height) = (size.width as f32, size.height as f32);
     let inside = |x: f32, y: f32| (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
-    let all = tracks.src.iter().filter(|p| !inside(p[0], p[1]));
+    // Trackers of points go on with those that have left the image, and call them invisible.
+    let visible =
+        tracks.src.iter().zip(&tracks.visibility).filter(|track| *track.1 > 0.0).map(|track| track.0);
+    let all = visible.filter(|p| !inside(p[0], p[1]));
     let exchanged = all.clone().filter(|p| inside(p[1], p[0]));
     (all.clone().count(), exchanged.count())
 }
 
 impl TracksReport {
     fn judge(&mut self, summary: &TrackerSummary) {
-        let TrackerSummary { name, files, missing, tracks, .. } = summary;
-        if *files == 0 && *missing > 0 {
-            let problem = format!("tracker '{name}': none of its {missing} files exists");
-            self.add(&problem, "correct its pattern in tracks/tracks.json, or remove the tracker");
-        } else if *files > 0 && *tracks == 0 {
-            let problem = format!("tracker '{name}': zero tracks in all of its {files} files");
-            self.add(&problem, "run the tracker again, or remove it from tracks/tracks.json");
-        }
+        let TrackerSummary { name, tracks, .. } = summary;
         if summary.outside as f64 > MOST_OUTSIDE * *tracks as f64 {
             let problem = format!(
                 "tracker '{name}': {} of {tracks} tracks start outside of the image",
@@ -157,11 +170,18 @@ impl TracksReport {
         if !summary.frames_without.is_empty() {
             let frames =
                 summary.frames_without.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-            let problem = format!("tracker '{name}': no view has a file for frame {frames}");
-            self.add(
-                &problem,
-                "run the tracker for these frames; a file holds the motion from the frame before",
-            );
+            self.notes.push(format!(
+                "tracker '{name}': no view has a file for frame {frames} (a file holds the motion from the frame before)"
+            ));
+        }
+    }
+
+    /// A tracker without any track is a fault only where no other has some.
+    fn judge_empty(&mut self) {
+        let found = self.trackers.iter().any(|t| t.tracks > 0);
+        for tracker in self.trackers.clone().iter().filter(|t| t.tracks == 0) {
+            let Some((problem, fix)) = tracker.emptiness() else { continue };
+            if found { self.notes.push(format!("{problem}: {fix}")) } else { self.add(&problem, fix) }
         }
     }
 
@@ -177,6 +197,7 @@ impl fmt::Display for TracksReport {
             write!(f, "  tracker {} ({level}): {} files, {} missing, ", t.name, t.files, t.missing)?;
             writeln!(f, "{} tracks, {} dropped", t.tracks, t.dropped)?;
         }
+        self.notes.iter().try_for_each(|note| writeln!(f, "note: {note}"))?;
         self.faults.iter().try_for_each(|fault| writeln!(f, "fault: {fault}"))
     }
 }
