@@ -19,6 +19,15 @@ impl ImageSize {
     pub fn pixels(self) -> usize {
         self.width * self.height
     }
+
+    /// Number of whole blocks of `factor` pixels along each side; the size itself where a side has none.
+    #[must_use]
+    pub fn reduced(self, factor: usize) -> Self {
+        if factor == 0 || self.width.min(self.height) < factor {
+            return self;
+        }
+        Self { width: self.width / factor, height: self.height / factor }
+    }
 }
 
 /// Pinhole intrinsics in pixels; the principal point follows the + 0.5 pixel-centre convention.
@@ -97,6 +106,8 @@ pub struct Camera {
     rotation: DMat3,
     translation: DVec3,
     size: ImageSize,
+    /// Pixels of the photograph along a side of a pixel.
+    reduction: usize,
 }
 
 impl Camera {
@@ -132,7 +143,32 @@ impl Camera {
         if !(error <= Self::RIGID_TOLERANCE && determinant > 0.0) {
             return Err(CameraError::NotRigid { error, determinant });
         }
-        Ok(Self { intrinsics, rotation, translation: camera_from_world.w_axis.truncate(), size })
+        Ok(Self {
+            intrinsics,
+            rotation,
+            translation: camera_from_world.w_axis.truncate(),
+            size,
+            reduction: 1,
+        })
+    }
+
+    /// Pixels of the photograph along a side of a pixel: 1 unless the view was [reduced](Self::reduced).
+    pub fn reduction(&self) -> usize {
+        self.reduction
+    }
+
+    /// The same view with square blocks of `factor` pixels as its pixels; what no whole block holds at the right and at
+    /// the bottom is left out. An image with a side of less than `factor` pixels stays as it is.
+    #[must_use]
+    pub fn reduced(&self, factor: usize) -> Self {
+        let size = self.size.reduced(factor);
+        if size == self.size {
+            return *self;
+        }
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v / factor as f64);
+        let reduction = self.reduction * factor;
+        Self { intrinsics: Intrinsics { fx, fy, cx, cy }, size, reduction, ..*self }
     }
 
     /// Focal lengths of a lens, in widths (or heights, the larger one) of its image: fields of view from 20 arc seconds

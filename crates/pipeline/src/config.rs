@@ -7,7 +7,8 @@ use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
 use ffgs_trainer::{
-    BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, StaticMethod,
+    BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, ResolutionConfig,
+    StaticMethod,
 };
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, VoronoiConfig};
@@ -45,6 +46,8 @@ pub struct Config {
     pub densification: DensifyConfig,
     /// Moving Gaussians where masks are not explained.
     pub birth: BirthConfig,
+    /// How large photographs are in the frames after the first.
+    pub resolution: ResolutionConfig,
     /// Finetuning of the dynamic layer.
     pub dynamic: DynamicLaneConfig,
     /// Finetuning of the static layer and the sky.
@@ -70,6 +73,7 @@ impl Default for Config {
             alignment: AlignmentConfig::default(),
             densification: DensifyConfig::default(),
             birth: BirthConfig::default(),
+            resolution: ResolutionConfig::default(),
             dynamic: DynamicLaneConfig::default(),
             background: BackgroundConfig::default(),
             disocclusion: DisocclusionConfig::default(),
@@ -110,6 +114,7 @@ impl Config {
             first_frame: FirstFrameConfig { exposures: false, ..defaults.first_frame },
             birth: BirthConfig { iterations: 0, ..defaults.birth },
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
+            resolution: ResolutionConfig { splat_px: 0.0, ..defaults.resolution },
             dynamic: DynamicLaneConfig {
                 loss_dilation: 0,
                 outside_alpha: 0.0,
@@ -186,13 +191,13 @@ mod tests {
         let literal = MotionConfig::literal();
         assert_eq!(Config::default().with_motion(&literal).motion(), literal);
         let ours = Config::literal().with_motion(&MotionConfig::default());
-        let Config { first_frame, birth, dynamic, background, disocclusion, .. } = ours;
+        let Config { first_frame, birth, resolution, dynamic, background, disocclusion, .. } = ours;
         assert_eq!((birth.iterations, disocclusion.iterations, dynamic.loss_dilation), (0, 0, 0));
-        assert_eq!((dynamic.prior_weight, first_frame.exposures), (0.0, false));
+        assert_eq!((dynamic.prior_weight, resolution.splat_px, first_frame.exposures), (0.0, 0.0, false));
         assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));
         assert_eq!(
             ours,
-            Config { first_frame, birth, dynamic, background, disocclusion, ..Config::default() }
+            Config { first_frame, birth, resolution, dynamic, background, disocclusion, ..Config::default() }
         );
     }
 

@@ -81,6 +81,7 @@ const RANGES: &[(&str, Range)] = &[
     ("birth.opacity_rate", RATE),
     ("birth.sh0_rate", RATE),
     ("birth.sh_rest_rate", RATE),
+    ("resolution.whole_share", SHARE),
     ("dynamic.position_rate", DECAYING_RATE),
     ("dynamic.position_rate_end", DECAYING_RATE),
     ("dynamic.quat_rate", RATE),

@@ -14,7 +14,7 @@ use crate::first_frame::sky_or_none;
 use crate::folder::RunFolder;
 use crate::frame::{init_views, load_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
-use crate::knowledge::{self, Predicted};
+use crate::knowledge::Predicted;
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::marking::{mark_again, split};
@@ -280,7 +280,7 @@ impl<'a> Job<'a> {
         exposures.write(&self.folder)?;
         if scene.dynamic.knowledge.information.is_empty() {
             let learning = Instant::now();
-            knowledge::learn(&mut scene, None, &views);
+            self.learn(&mut scene, None, &views);
             record.log.since("information", learning);
         }
         if scene.hidden.is_empty() {
@@ -406,7 +406,7 @@ impl<'a> Job<'a> {
                 self.finetune(lane, &mut scene, (static_lane, known), &now, console, log)?;
                 self.train_disoccluded(frame, &mut scene, static_lane, &now, console, log)?;
                 let learning = Instant::now();
-                knowledge::learn(&mut scene, predicted.as_ref(), &now);
+                self.learn(&mut scene, predicted.as_ref(), &now);
                 log.since("information", learning);
             }
             Finetuning::Done => {}

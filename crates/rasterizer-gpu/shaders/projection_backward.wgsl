@@ -19,7 +19,7 @@
 @group(0) @binding(8) var<storage, read_write> pose: array<array<f32, 12>>;
 
 // Derivative by the projected axes, a column per axis of the Gaussian: -2 Q G Q a, with Q the conic and G the symmetric
-// derivative by it. Q a cancels for needles; in its place adj(C) a = sum over other axes b of (b x a) b' + 0.3 a, where
+// derivative by it. Q a cancels for needles; in its place adj(C) a = sum over other axes b of (b x a) b' + filter a, where
 // b' is b turned by a right angle and the products b x a are the components of `area`.
 fn axes_gradient(e: Ewa, conic: vec3f, g: vec3f) -> array<vec3f, 2> {
     let x = e.axes[0];
@@ -34,8 +34,8 @@ fn axes_gradient(e: Ewa, conic: vec3f, g: vec3f) -> array<vec3f, 2> {
         x.x * e.area.z - x.z * e.area.x,
         x.y * e.area.x - x.x * e.area.y,
     );
-    let qx = (turned_x + PIXEL_FILTER * x) / e.determinants.y;
-    let qy = (turned_y + PIXEL_FILTER * y) / e.determinants.y;
+    let qx = (turned_x + view.pixel_filter * x) / e.determinants.y;
+    let qy = (turned_y + view.pixel_filter * y) / e.determinants.y;
     let gx = -2.0 * g.x * qx - g.y * qy;
     let gy = -g.y * qx - 2.0 * g.z * qy;
     return array(conic.x * gx + conic.y * gy, conic.y * gx + conic.z * gy);

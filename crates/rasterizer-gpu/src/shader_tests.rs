@@ -18,7 +18,7 @@ fn host_structs_have_the_layout_of_the_shaders() {
     let view = host_layout!(
         ViewUniform, rotation, center_high, count, center_low, sh_degree, focal, principal, slope_low, slope_high,
         size, tiles, background, sh_stride, antialiased, slots, span_capacity, pair_capacity, layered, stamp,
-        with_pose, dropout_threshold, dropout_draw, dropout_gain, padding,
+        with_pose, dropout_threshold, dropout_draw, dropout_gain, pixel_filter, padding,
     );
     let twins = [
         ("View", view),
@@ -45,7 +45,6 @@ fn constants_are_those_of_the_host() {
         ("MIN_ALPHA", f64::from(host::MIN_ALPHA)),
         ("MAX_ALPHA", f64::from(host::MAX_ALPHA)),
         ("MIN_TRANSMITTANCE", f64::from(host::MIN_TRANSMITTANCE)),
-        ("PIXEL_FILTER", f64::from(host::PIXEL_FILTER)),
         ("MIN_COMPENSATION", f64::from(host::MIN_COMPENSATION)),
         ("NEAR", f64::from(host::NEAR)),
         ("BLOCK", crate::scratch::BLOCK as f64),

@@ -2,7 +2,7 @@ use crate::layout::ViewUniform;
 use ffgs_core::{Camera, ImageSize, PlanarImage};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
 use ffgs_rasterizer::constants::{AREA, FRUSTUM_MARGIN, TILE};
-use ffgs_rasterizer::{Background, TileMask};
+use ffgs_rasterizer::{Background, TileMask, pixel_filter};
 
 /// `NO_SLOT` of the shaders.
 pub(crate) const NO_SLOT: u32 = u32::MAX;
@@ -163,6 +163,7 @@ fn camera_constants(camera: &Camera) -> ViewUniform {
         slope_high: [0, 1].map(|a| (extent[a] - principal[a]) / focal[a] + margin[a]),
         size: [size.width as u32, size.height as u32],
         tiles: [size.width.div_ceil(TILE) as u32, size.height.div_ceil(TILE) as u32],
+        pixel_filter: pixel_filter(camera),
         ..ViewUniform::default()
     }
 }

@@ -274,7 +274,7 @@ impl Parameters<'_> {
         let g = self.gaussians;
         let offset = projection::offset(g.means[i], self.camera.center);
         let ewa = projection::ewa(offset, g.quats[i], g.log_scales[i], &self.camera);
-        let filtered = projection::filter(&ewa, self.antialiased);
+        let filtered = projection::filter(&ewa, &self.camera, self.antialiased);
         let shape = Shape::new(&ewa, &filtered, self.antialiased, sums);
         let bare = f64::from(sigmoid(g.opacity_logits[i]));
         let shown = splat.colour.map(|c| if c > 0.0 { sums[9] as f32 } else { 0.0 });

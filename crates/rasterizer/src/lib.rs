@@ -51,6 +51,7 @@ pub use dropout::Dropout;
 pub use footprint::FootprintSums;
 pub use gradients::{Gradients, PixelGradients};
 pub use information::Information;
+pub use projection::pixel_filter;
 pub use spherical_harmonics::basis as sh_basis;
 pub use split::{SplitLayers, TileDepths};
 pub use tape::RenderTape;

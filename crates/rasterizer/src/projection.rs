@@ -20,6 +20,15 @@ pub(crate) struct PinholeF32 {
     /// Slopes x/z, y/z of the widened frustum's sides.
     pub(crate) low: [f32; 2],
     pub(crate) high: [f32; 2],
+    /// Variance of the pixel filter (px^2).
+    pub(crate) filter: f32,
+}
+
+/// Variance of the pixel filter (px^2). A pixel of a reduced photograph is the mean over a block of pixels, each of which has
+/// the filter of 3D Gaussian Splatting: so a reduced render is what the whole one would be, reduced.
+pub fn pixel_filter(camera: &Camera) -> f32 {
+    let side = camera.reduction() as f32;
+    (PIXEL_FILTER + (side * side - 1.0) / 12.0) / (side * side)
 }
 
 impl From<&Camera> for PinholeF32 {
@@ -35,6 +44,7 @@ impl From<&Camera> for PinholeF32 {
             principal,
             low: [-principal[0] / focal[0] - margin[0], -principal[1] / focal[1] - margin[1]],
             high: [(w - principal[0]) / focal[0] + margin[0], (h - principal[1]) / focal[1] + margin[1]],
+            filter: pixel_filter(camera),
         }
     }
 }
@@ -180,16 +190,17 @@ pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &P
     Ewa { point, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance, valid }
 }
 
-/// Applies the pixel filter to a projected covariance.
+/// Applies the pixel filter of the camera to a projected covariance.
 #[inline(always)]
-pub(crate) fn filter(ewa: &Ewa, antialiased: bool) -> Filtered {
+pub(crate) fn filter(ewa: &Ewa, camera: &PinholeF32, antialiased: bool) -> Filtered {
+    let variance = camera.filter;
     let [xx, xy, yy] = ewa.covariance;
     // |u|^2 |v|^2 - (u.v)^2 = |u x v|^2 (Lagrange): of a long needle the left side would cancel to nothing.
     let raw = ewa.axes[0].cross(ewa.axes[1]).length_squared();
-    let determinants = [raw, raw + PIXEL_FILTER * (xx + yy) + PIXEL_FILTER * PIXEL_FILTER];
+    let determinants = [raw, raw + variance * (xx + yy) + variance * variance];
     let ratio = (determinants[0] / determinants[1]).max(MIN_COMPENSATION * MIN_COMPENSATION);
     let inverse = 1.0 / determinants[1];
-    let (fxx, fyy) = (xx + PIXEL_FILTER, yy + PIXEL_FILTER);
+    let (fxx, fyy) = (xx + variance, yy + variance);
     Filtered {
         covariance: [fxx, xy, fyy],
         conic: [fyy * inverse, -xy * inverse, fxx * inverse],
@@ -229,7 +240,7 @@ pub(crate) fn splat(
     size: [f32; 2],
 ) -> (Splat, Extent) {
     let ewa = ewa(offset, quat, log_scales, camera);
-    let filtered = filter(&ewa, antialiased);
+    let filtered = filter(&ewa, camera, antialiased);
     let opacity = bare * filtered.compensation;
     let mean = [
         camera.focal[0] * ewa.point.x / ewa.point.z + camera.principal[0],

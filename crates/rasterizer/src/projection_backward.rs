@@ -271,7 +271,7 @@ impl Context<'_> {
             let e = &input.entries;
             let quat = input.block.quat(k);
             let ewa = projection::ewa(input.block.offset(k), quat, input.block.log_scales(k), camera);
-            let filtered = projection::filter(&ewa, antialiased);
+            let filtered = projection::filter(&ewa, camera, antialiased);
             let alpha = input.block.opacity(k);
             let free = antialiased & projection::compensation_is_free(&filtered);
             let footprint = FootprintGradient::new(&filtered, [e[2][k], e[3][k], e[4][k]]);

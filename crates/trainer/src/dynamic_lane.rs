@@ -67,6 +67,20 @@ impl Default for DynamicLaneConfig {
 }
 
 impl DynamicLaneConfig {
+    /// The same schedule in two parts: its first steps, so many, and those that are left.
+    #[must_use]
+    pub fn parts(&self, first: usize) -> [Self; 2] {
+        let first = first.min(self.iterations);
+        if first == 0 {
+            return [Self { iterations: 0, ..*self }, *self];
+        }
+        let between = decay(self.position_rate, self.position_rate_end, first, self.iterations);
+        [
+            Self { iterations: first, position_rate_end: between, ..*self },
+            Self { iterations: self.iterations - first, position_rate: between, ..*self },
+        ]
+    }
+
     /// Step sizes at a step, for a layer of radius `extent` (m).
     pub fn rates(&self, iteration: usize, extent: f32) -> LearningRates {
         LearningRates {
@@ -153,4 +167,22 @@ pub fn robust_extent(gaussians: &Gaussians) -> f32 {
     let mut distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
     distances.sort_by(f32::total_cmp);
     distances[(n * 9 / 10).min(n - 1)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_parts_have_the_rates_of_the_whole() {
+        let whole = DynamicLaneConfig::default();
+        let [first, second] = whole.parts(270);
+        assert_eq!([first.iterations, second.iterations], [270, 30]);
+        for step in [0, 100, 269, 270, 299] {
+            let expected = whole.rates(step, 2.0).means;
+            let part = if step < 270 { first.rates(step, 2.0) } else { second.rates(step - 270, 2.0) };
+            assert!((part.means / expected - 1.0).abs() < 1e-4, "step {step}: {} {expected}", part.means);
+        }
+        assert_eq!(whole.parts(0)[1], whole, "undivided, to the last bit");
+    }
 }

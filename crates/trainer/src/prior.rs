@@ -203,6 +203,13 @@ pub struct Prior<'a> {
 }
 
 impl Prior<'_> {
+    /// The same for photographs of `factor` times as many pixels along each side: so many more of them share an error.
+    #[must_use]
+    pub fn finer(self, factor: usize) -> Self {
+        let correlated = self.noise.correlated * (factor * factor) as f64;
+        Self { noise: PixelNoise { correlated, ..self.noise }, ..self }
+    }
+
     /// The derivative that a step adds to that of a loss of `pixels` pixels, (N) shaped like the Gaussians: at `now`, when
     /// `views` views see each Gaussian, for those that are `touched`. What every backend must agree with.
     pub fn pull(

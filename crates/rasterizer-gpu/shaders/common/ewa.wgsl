@@ -1,8 +1,6 @@
 // EWA projection of one Gaussian, shared by the forward and the backward pass; `view` is the uniform of the entry file.
 // CPU twin: rasterizer/src/projection.rs.
 
-// Variance added to the projected covariance (px^2): the pixel filter of 3D Gaussian Splatting.
-const PIXEL_FILTER: f32 = 0.3;
 // Lower bound of the antialiasing compensation.
 const MIN_COMPENSATION: f32 = 0.005;
 // Gaussians nearer to the camera plane than this (m) are not rendered.
@@ -90,12 +88,12 @@ fn project_shape(g: Geometry) -> Ewa {
     e.axes[0] = e.to_pixels[0] * e.shape;
     e.axes[1] = e.to_pixels[1] * e.shape;
     e.covariance = vec3f(dot(e.axes[0], e.axes[0]), dot(e.axes[0], e.axes[1]), dot(e.axes[1], e.axes[1]));
-    e.filtered = e.covariance + vec3f(PIXEL_FILTER, 0.0, PIXEL_FILTER);
+    e.filtered = e.covariance + vec3f(view.pixel_filter, 0.0, view.pixel_filter);
     // xx yy - xy^2 cancels for needles; as the squared area of the projected axes nothing does (Lagrange's identity).
     e.area = cross(e.axes[0], e.axes[1]);
     let determinant = dot(e.area, e.area);
     let trace = e.covariance.x + e.covariance.z;
-    e.determinants = vec2f(determinant, determinant + PIXEL_FILTER * trace + PIXEL_FILTER * PIXEL_FILTER);
+    e.determinants = vec2f(determinant, determinant + view.pixel_filter * trace + view.pixel_filter * view.pixel_filter);
     e.valid = all_finite(e.filtered) && is_finite(e.determinants.y) && e.determinants.y > 0.0;
     return e;
 }

@@ -31,7 +31,9 @@ struct View {
     dropout_draw: u32,
     // Factor of the opacities of the others.
     dropout_gain: f32,
-    padding: vec2u,
+    // Variance added to the projected covariance (px^2).
+    pixel_filter: f32,
+    padding: u32,
 }
 
 // A Gaussian's parameters other than its colour; also their gradients and moments.
