@@ -1,4 +1,4 @@
-//! At which resolution photographs are compared with a layer (docs/adr/0054-photographs-as-fine-as-the-splats.md).
+//! At which resolution photographs are compared with a layer (docs/adr/0054-resolution-follows-the-splats.md).
 
 use ffgs_core::{Gaussians, TrainingView, sigmoid};
 use glam::DVec3;
