@@ -1,5 +1,7 @@
+//! How much the error of a video changes from frame to frame.
+
 use crate::{SizeMismatch, same_size};
-use ffgs_core::ImageRgb8;
+use ffgs_core::{ImageRgb8, Mask};
 
 /// A photograph and the render of it.
 #[derive(Clone, Copy, Debug)]
@@ -17,14 +19,33 @@ pub struct Seen<'a> {
 /// # Errors
 /// When the images differ in size.
 pub fn flicker(before: Seen, now: Seen) -> Result<f64, SizeMismatch> {
-    for image in [before.photograph, before.render, now.photograph] {
-        same_size(now.render.size(), image.size())?;
-    }
+    check(before, now)?;
+    Ok(mean_change(before, now, 0..now.render.size().pixels()).unwrap_or(0.0))
+}
+
+/// [`flicker`] over the pixels of `mask`, the foreground of `now`; `None` for an empty mask.
+///
+/// # Errors
+/// When images and mask differ in size.
+pub fn masked_flicker(before: Seen, now: Seen, mask: &Mask) -> Result<Option<f64>, SizeMismatch> {
+    check(before, now)?;
+    same_size(now.render.size(), mask.size())?;
+    Ok(mean_change(before, now, (0..mask.data().len()).filter(|&pixel| mask.data()[pixel] != 0)))
+}
+
+fn check(before: Seen, now: Seen) -> Result<(), SizeMismatch> {
+    [before.photograph, before.render, now.photograph]
+        .into_iter()
+        .try_for_each(|image| same_size(now.render.size(), image.size()))
+}
+
+/// Mean over pixels and channels; `None` over no pixels.
+fn mean_change(before: Seen, now: Seen, pixels: impl Iterator<Item = usize>) -> Option<f64> {
     let error =
         |seen: Seen, i: usize| i64::from(seen.render.data()[i]) - i64::from(seen.photograph.data()[i]);
-    let count = now.render.data().len();
-    let sum: u64 = (0..count).map(|i| error(now, i).abs_diff(error(before, i))).sum();
-    Ok(sum as f64 / count.max(1) as f64)
+    let change = |pixel: usize| (3 * pixel..3 * pixel + 3).map(|i| error(now, i).abs_diff(error(before, i)));
+    let (sum, values) = pixels.flat_map(change).fold((0, 0_u64), |(sum, n), value| (sum + value, n + 1));
+    (values > 0).then(|| sum as f64 / values as f64)
 }
 
 #[cfg(test)]
@@ -53,6 +74,22 @@ mod tests {
             50.0,
             "the render does not follow: 300 levels over 6 values"
         );
+    }
+
+    #[test]
+    fn over_a_mask_the_other_pixels_do_not_count() {
+        let (a, b) = (image([10; 6]), image([10, 10, 10, 40, 40, 40]));
+        let (before, now) = (Seen { photograph: &a, render: &a }, Seen { photograph: &a, render: &b });
+        let of = |mask: [u8; 2]| {
+            let mask = Mask::new(ImageSize { width: 2, height: 1 }, mask.to_vec()).unwrap();
+            masked_flicker(before, now, &mask).unwrap()
+        };
+        assert_eq!(
+            [of([1, 1]), of([1, 0]), of([0, 1]), of([0, 0])],
+            [Some(15.0), Some(0.0), Some(30.0), None]
+        );
+        let small = Mask::filled(ImageSize { width: 1, height: 2 }, true);
+        assert!(masked_flicker(before, now, &small).is_err());
     }
 
     #[test]

@@ -1,5 +1,7 @@
+//! Structural similarity (Wang et al. 2004), its gradient, and the training loss that uses it.
+
 use crate::{SizeMismatch, same_size};
-use ffgs_core::{ImageRgb8, PlanarImage};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -155,16 +157,42 @@ pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
 /// When the images differ in size.
 pub fn image_ssim(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
     same_size(rendered.size(), target.size())?;
-    let size = rendered.size();
-    let clamped: Vec<f32> = rendered.data().iter().map(|&v| clamp(v)).collect();
-    let target = PlanarImage::from(target);
-    let pair = SsimPair { shape: [3, size.height, size.width], rendered: &clamped, target: target.data() };
+    let ImageSize { width, height } = rendered.size();
+    let (clamped, target) = (clamped(rendered), PlanarImage::from(target));
+    let pair = SsimPair { shape: [3, height, width], rendered: &clamped, target: target.data() };
     // Equal sizes with at least one pixel: `Border::Same` cannot fail.
     Ok(ssim(pair, Border::Same).unwrap_or(0.0))
 }
 
-fn clamp(value: f32) -> f32 {
-    if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
+/// [`image_ssim`] over the pixels of `mask`; `None` for an empty mask. The windows of pixels at its edge reach beyond it.
+///
+/// # Errors
+/// When images and mask differ in size.
+pub fn masked_ssim(
+    rendered: &PlanarImage,
+    target: &ImageRgb8,
+    mask: &Mask,
+) -> Result<Option<f64>, SizeMismatch> {
+    same_size(rendered.size(), target.size())?;
+    same_size(rendered.size(), mask.size())?;
+    let masked = mask.count();
+    if masked == 0 {
+        return Ok(None);
+    }
+    let ImageSize { width, height } = rendered.size();
+    let (clamped, target) = (clamped(rendered), PlanarImage::from(target));
+    let pair = SsimPair { shape: [3, height, width], rendered: &clamped, target: target.data() };
+    let sum = |c: usize| -> f64 {
+        let moments = pair.channel(c).moments();
+        let pixels = (0..width * height).filter(|&pixel| mask.data()[pixel] != 0);
+        pixels.map(|pixel| moments.at(pixel).ssim).sum()
+    };
+    let sums: Vec<f64> = (0..3).into_par_iter().map(sum).collect();
+    Ok(Some(sums.iter().sum::<f64>() / (3 * masked) as f64))
+}
+
+fn clamped(image: &PlanarImage) -> Vec<f32> {
+    image.data().iter().map(|&v| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) }).collect()
 }
 
 #[derive(Clone, Copy)]

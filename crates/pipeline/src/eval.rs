@@ -83,7 +83,8 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
 
 /// One row per frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
 fn table(records: &[FrameRecord]) -> String {
-    let titles = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker"].map(|title| format!("  {title:>8}")).concat();
+    let titles = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker", "MSSIM", "MVMAF", "mflicker"];
+    let titles = titles.map(|title| format!("  {title:>8}")).concat();
     let mut text = format!("{:>10}{titles}\n", "frame");
     for record in records {
         text += &row(&record.frame.to_string(), &record.views.iter().collect::<Vec<_>>());
@@ -108,6 +109,9 @@ fn row(name: &str, views: &[&ViewMetrics]) -> String {
         mean(|v| Some(v.ssim), 4),
         mean(|v| v.vmaf, 2),
         mean(|v| v.flicker, 3),
+        mean(|v| v.mssim, 4),
+        mean(|v| v.mvmaf, 2),
+        mean(|v| v.mflicker, 3),
     ];
     format!("{name:>10}{}\n", cells.map(|cell| format!("  {cell:>8}")).concat())
 }
@@ -133,12 +137,15 @@ mod tests {
     #[test]
     fn the_table_has_frames_and_means() {
         let view = |psnr, mpsnr| ViewMetrics { psnr, mpsnr, ssim: 0.5, ..ViewMetrics::default() };
-        let later = ViewMetrics { vmaf: Some(80.0), flicker: Some(1.5), ..view(30.0, Some(10.0)) };
+        let whole = ViewMetrics { vmaf: Some(80.0), flicker: Some(1.5), ..view(30.0, Some(10.0)) };
+        let later = ViewMetrics { mssim: Some(0.25), mvmaf: Some(60.0), mflicker: Some(4.5), ..whole };
         let of = |frame, views| FrameRecord { frame, views, ..FrameRecord::default() };
         let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![later])]);
         let words: Vec<Vec<&str>> = text.lines().map(|l| l.split_whitespace().collect()).collect();
-        assert_eq!(words[1], ["0", "20.00", "-", "0.5000", "-", "-"]);
-        assert_eq!(words[3], ["mean", "25.00", "10.00", "0.5000", "80.00", "1.500"]);
-        assert_eq!(words[4], ["mean", ">=", "1", "30.00", "10.00", "0.5000", "80.00", "1.500"]);
+        assert_eq!(words[1], ["0", "20.00", "-", "0.5000", "-", "-", "-", "-", "-"]);
+        let masked = ["0.2500", "60.00", "4.500"];
+        assert_eq!(words[3][..6], ["mean", "25.00", "10.00", "0.5000", "80.00", "1.500"]);
+        assert_eq!(words[4][..8], ["mean", ">=", "1", "30.00", "10.00", "0.5000", "80.00", "1.500"]);
+        assert_eq!((&words[3][6..], &words[4][8..]), (&masked[..], &masked[..]));
     }
 }

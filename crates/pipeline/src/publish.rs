@@ -76,6 +76,9 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
         ssim: Some(v.ssim),
         vmaf: v.vmaf,
         flicker: v.flicker,
+        mssim: v.mssim,
+        mvmaf: v.mvmaf,
+        mflicker: v.mflicker,
     };
     FrameReport {
         index: f.frame,

@@ -20,6 +20,9 @@ pub struct ViewMetrics {
     pub mpsnr: Option<f64>,
     /// Structural similarity.
     pub ssim: f64,
+    /// Structural similarity over the foreground; absent when the mask is empty.
+    #[serde(default)]
+    pub mssim: Option<f64>,
     /// VMAF (0 to 100) in the view's video; absent until `ffgs eval` has found it.
     #[serde(default)]
     pub vmaf: Option<f64>,
@@ -27,6 +30,12 @@ pub struct ViewMetrics {
     /// it.
     #[serde(default)]
     pub flicker: Option<f64>,
+    /// VMAF of the video whose background is the photographs'; absent as `vmaf`, and when the video's masks are all empty.
+    #[serde(default)]
+    pub mvmaf: Option<f64>,
+    /// Flicker over the foreground; absent as `flicker`, and when the mask is empty.
+    #[serde(default)]
+    pub mflicker: Option<f64>,
 }
 
 /// One finished frame.
@@ -97,6 +106,15 @@ pub struct Mean {
     /// Change of the error from frame to frame (8-bit levels).
     #[serde(default)]
     pub flicker: Option<f64>,
+    /// Structural similarity over the foreground.
+    #[serde(default)]
+    pub mssim: Option<f64>,
+    /// VMAF of the videos whose background is the photographs' (0 to 100).
+    #[serde(default)]
+    pub mvmaf: Option<f64>,
+    /// Flicker over the foreground (8-bit levels).
+    #[serde(default)]
+    pub mflicker: Option<f64>,
     /// PSNR over the foreground before finetuning, always over all test views (dB).
     #[serde(default)]
     pub initial_mpsnr: Option<f64>,
@@ -146,6 +164,9 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
         ssim: mean(views.iter().map(|v| v.ssim)),
         vmaf,
         flicker: mean(views.iter().filter_map(|v| v.flicker)),
+        mssim: mean(views.iter().filter_map(|v| v.mssim)),
+        mvmaf: mean(views.iter().filter_map(|v| v.mvmaf)),
+        mflicker: mean(views.iter().filter_map(|v| v.mflicker)),
         initial_mpsnr: mean(later.iter().filter_map(|f| f.initial_mpsnr)),
         seconds_per_frame: seconds,
         psnr_per_second: per_second(psnr),

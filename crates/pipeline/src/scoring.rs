@@ -8,7 +8,7 @@ use crate::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_method::{Capture, Split, ViewAt};
-use ffgs_metrics::{image_ssim, mpsnr, psnr};
+use ffgs_metrics::{image_ssim, masked_ssim, mpsnr, psnr};
 use ffgs_report::Thumbnails;
 use rayon::prelude::*;
 use std::path::Path;
@@ -104,8 +104,8 @@ pub(crate) fn score(
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
             ssim: image_ssim(&rendered, &truth.image)?,
-            vmaf: None,
-            flicker: None,
+            mssim: masked_ssim(&rendered, &truth.image, &truth.mask)?,
+            ..ViewMetrics::default()
         };
         let pictures = thumbnails.view(&truth.image, &picture)?.context("a render has its camera's size")?;
         Ok((metrics, pictures))

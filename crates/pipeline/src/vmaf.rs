@@ -44,10 +44,10 @@ impl Vmaf {
         )
     }
 
-    /// Begins a video of frames of this size; the scores pass through a file in `folder`.
-    pub(crate) fn video(&self, size: ImageSize, folder: &Path) -> Result<Video> {
+    /// Begins a video of frames of this size; the scores pass through a file in `folder` that no other video has by this name.
+    pub(crate) fn video(&self, name: &str, size: ImageSize, folder: &Path) -> Result<Video> {
         // As a half-written file is called: what a kill leaves is removed by the next run.
-        let log = format!("vmaf.{}.part", std::process::id());
+        let log = format!("vmaf_{name}.{}.part", std::process::id());
         let mut command = Command::new(&self.0);
         let ImageSize { width, height } = size;
         command.args(["-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-r", RATE]);
@@ -178,7 +178,7 @@ mod tests {
         };
         let folder = tempfile::tempdir().unwrap();
         let score = |error: usize| {
-            let mut video = vmaf.video(size, folder.path()).unwrap();
+            let mut video = vmaf.video("test", size, folder.path()).unwrap();
             (0..3).for_each(|t| video.push(&picture(2 * t, 0), &picture(2 * t, error)).unwrap());
             let scores = video.finish().unwrap();
             assert_eq!(scores.len(), 3);

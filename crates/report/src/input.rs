@@ -103,4 +103,10 @@ pub struct ViewReport {
     pub vmaf: Option<f64>,
     /// Change of the error since the frame before (8-bit levels).
     pub flicker: Option<f64>,
+    /// Structural similarity over the foreground.
+    pub mssim: Option<f64>,
+    /// VMAF (0 to 100) of the video whose background is the photographs'.
+    pub mvmaf: Option<f64>,
+    /// Flicker over the foreground (8-bit levels).
+    pub mflicker: Option<f64>,
 }

@@ -116,6 +116,9 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
         ("VMAF", vmaf, 2, ""),
         ("VMAF per second (VE)", per_second(vmaf), 2, "1/s"),
         ("Flicker", metric(|v| v.flicker), 3, "levels"),
+        ("MSSIM (foreground)", metric(|v| v.mssim), 4, ""),
+        ("MVMAF (foreground)", metric(|v| v.mvmaf), 2, ""),
+        ("Flicker of the foreground", metric(|v| v.mflicker), 3, "levels"),
     ];
     let of_video = of_video.into_iter().filter(|(_, value, ..)| value.is_some());
     let of_video = of_video.map(|(label, value, decimals, unit)| (label, text(value, decimals), unit));

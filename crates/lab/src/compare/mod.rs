@@ -142,7 +142,9 @@ impl CompareArgs {
     /// With the scores of the videos, which a run does not find.
     fn measured(&self, out: &Path, metrics: Metrics) -> Result<Metrics> {
         let mean = &metrics.mean;
-        let found = mean.flicker.is_some() && (mean.vmaf.is_some() || !eval::has_vmaf());
+        // Runs of older versions have no MSSIM where they have an MPSNR.
+        let whole = mean.flicker.is_some() && mean.mssim.is_some() == mean.mpsnr.is_some();
+        let found = whole && (mean.vmaf.is_some() || !eval::has_vmaf());
         if found || mean.psnr.is_none() {
             return Ok(metrics);
         }

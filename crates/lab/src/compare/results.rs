@@ -60,18 +60,21 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
-/// PSNR, MPSNR, SSIM, VMAF and flicker.
-fn scores(mean: &Mean) -> [String; 5] {
-    let values = [(mean.psnr, 2), (mean.mpsnr, 2), (mean.ssim, 4), (mean.vmaf, 2), (mean.flicker, 2)];
+/// Of whole pictures and of the foreground.
+fn scores(mean: &Mean) -> [String; 8] {
+    let whole = [(mean.psnr, 2), (mean.ssim, 4), (mean.vmaf, 2), (mean.flicker, 2)];
+    let foreground = [(mean.mpsnr, 2), (mean.mssim, 4), (mean.mvmaf, 2), (mean.mflicker, 2)];
+    let values: [_; 8] = std::array::from_fn(|i| if i < 4 { whole[i] } else { foreground[i - 4] });
     values.map(|(value, digits)| number(value, digits))
 }
 
-const SCORES: [&str; 5] = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker"];
+const SCORES: [&str; 8] = ["PSNR", "SSIM", "VMAF", "flicker", "MPSNR", "MSSIM", "MVMAF", "mflicker"];
 
 fn quality(compared: &Compared) -> Table {
     let head = [&["method"][..], &SCORES, &["MPSNR before", "s", "PE", "VE", "frames", ""]].concat();
     let note = "Means over the test views of the frames after the first. MPSNR before: of the motion alone, before training. \
-                s: seconds per frame; PE and VE: PSNR and VMAF by seconds. Flicker: change of the error since the frame before, less is better.";
+                s: seconds per frame; PE and VE: PSNR and VMAF by seconds. Flicker: change of the error since the frame before, less is better. \
+                Names that begin with M or m: over the foreground.";
     let mut table = Table::new(format!("{}: quality", compared.capture), note, &head);
     for outcome in &compared.outcomes {
         let mean = &outcome.metrics.mean;
@@ -204,9 +207,9 @@ pub(super) mod tests {
     #[test]
     fn a_run_that_failed_is_a_row_that_says_so() {
         let table = quality(&compared());
-        assert_eq!(table.rows[0][..3], ["trackers", "25.00", "-"]);
+        assert_eq!(table.rows[0][..3], ["trackers", "25.00", "0.5000"]);
         assert_eq!(table.rows[2][0], "hicom x 0.4");
-        assert_eq!((table.rows[0][10].as_str(), table.rows[4][10].as_str()), ("2", "0"));
+        assert_eq!((table.rows[0][13].as_str(), table.rows[4][13].as_str()), ("2", "0"));
         assert_eq!(table.rows[4].last().map(String::as_str), Some("stopped: it diverged"));
         assert!(table.rows.iter().all(|row| row.len() == table.head.len()));
     }
