@@ -102,12 +102,14 @@ pub(crate) fn require(
     };
     let start = request.frames.map_or(0, |frames| frames.start);
     let pixels = [pixels(&training_views(views, start))?, pixels(&init_views(capture, start))?];
-    let gaussians = match &request.first_frame {
-        Some(run) => contained(&RunFolder(run.clone()).state(start), SAVED[0]),
-        None => {
-            // Points beyond the limit all start as Gaussians; only growth ends there.
-            contained(&capture.part(Part::Points), SAVED[1]).max(request.config.first_frame.max_gaussians)
-        }
+    let gaussians = if let Some(run) = &request.first_frame {
+        contained(&RunFolder(run.clone()).state(start), SAVED[0])
+    } else {
+        let first = &request.config.first_frame;
+        let points = contained(&capture.part(Part::Points), SAVED[1]);
+        // All that start are Gaussians, also those beyond the limit of growth.
+        let started = if first.max_points == 0 { points } else { points.min(first.max_points) };
+        started.max(first.max_gaussians)
     };
     let need = Need::new(&request.config, Size { pixels, gaussians, streams });
     ensure!(need.total() <= budget, need.told(budget));

@@ -21,8 +21,19 @@ pub fn start(
         tracing::warn!("{repeated} initial points lie exactly where others lie and are left out");
     }
     let gaussians = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
-    let gaussians = gaussians.select(&spatial_order(&gaussians.means));
+    let gaussians =
+        gaussians.select(&thinned(spatial_order(&gaussians.means), config.first_frame.max_points));
     Ok(FirstFrame { gaussians, sky: SkyCube::filled(config.sky_face_size, mean_colour(views)) })
+}
+
+/// At most `limit` of the items, evenly over their order; all for a limit of 0.
+fn thinned(items: Vec<usize>, limit: usize) -> Vec<usize> {
+    let count = items.len();
+    if limit == 0 || count <= limit {
+        return items;
+    }
+    tracing::info!("training starts from {limit} of {count} initial points (first_frame.max_points)");
+    (0..limit).map(|i| items[i * count / limit]).collect()
 }
 
 /// Mean colour of the top rows, where outdoor views show the sky.
@@ -38,4 +49,19 @@ fn mean_colour(views: &[TrainingView]) -> [f32; 3] {
         }
     }
     sum.map(|s| (s / f64::max(count, 1.0)) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_thinned_evenly_and_to_the_limit() {
+        let all: Vec<usize> = (0..10).rev().collect();
+        assert_eq!(thinned(all.clone(), 0), all);
+        assert_eq!(thinned(all.clone(), 10), all);
+        assert_eq!(thinned(all.clone(), 4), [9, 7, 4, 2]);
+        assert_eq!(thinned(all, 1), [9]);
+        assert_eq!(thinned(Vec::new(), 3), Vec::<usize>::new());
+    }
 }

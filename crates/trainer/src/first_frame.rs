@@ -34,6 +34,8 @@ pub struct FirstFrameConfig {
     pub densify_span: [f32; 2],
     /// Mean gradient from which a Gaussian grows.
     pub grow_gradient: f32,
+    /// Initial points from which training starts at most; 0 = all.
+    pub max_points: usize,
     /// Number of Gaussians never exceeded by growth.
     pub max_gaussians: usize,
     /// Lower all opacities at this share of the steps; 0 = never.
@@ -60,6 +62,7 @@ impl Default for FirstFrameConfig {
             densify_every: 200,
             densify_span: [0.1, 0.6],
             grow_gradient: 2e-4,
+            max_points: 0,
             max_gaussians: 90_000,
             opacity_reset: 0.0,
             sky_rate: 5e-3,

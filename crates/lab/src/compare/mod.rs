@@ -39,6 +39,8 @@ as well, which gives the curves of quality against seconds. The tables and curve
 written again after every run; the runs lie in OUT/CAPTURE/METHOD@BUDGET, each with its report. Finished runs are kept, and
 interrupted ones go on, so a comparison grows by calling it again with more captures, methods, budgets or frames.
 
+--gaussians 20000 thins the first frame, and adds -20000 to the names of the captures.
+
 VMAF needs an ffmpeg that has libvmaf: `cargo xtask setup`, or FFGS_FFMPEG.
 
 Examples:
@@ -62,6 +64,10 @@ pub(crate) struct CompareArgs {
     /// Frames [default: all]
     #[arg(long, value_name = "0..B")]
     frames: Option<FrameRange>,
+    /// The first frame starts from at most N points and grows to at most N Gaussians: the paper's experiment with fewer
+    /// primitives in the background
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    gaussians: Option<u32>,
     /// Where the runs and tables are written; finished runs are kept
     #[arg(long, value_name = "DIR", default_value = "out/compare")]
     out: PathBuf,
@@ -81,7 +87,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     let mut all: Vec<Compared> = Vec::new();
     plan::check(&args.methods, &args.budgets, args.frames)?;
     for (at, capture) in args.captures.iter().enumerate() {
-        all.push(Compared::new(folder_name(&args.captures, at)));
+        all.push(Compared::new(args.name(at)));
         let plan = candidates(capture, &args.methods);
         let budgets =
             |candidate: &Candidate| candidate.budget.map_or_else(|| args.budgets.clone(), |b| vec![b]);
@@ -104,6 +110,12 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
 }
 
 impl CompareArgs {
+    /// Of a capture's runs: the name of their folder and of its tables.
+    fn name(&self, at: usize) -> String {
+        let name = folder_name(&self.captures, at);
+        self.gaussians.map_or_else(|| name.clone(), |limit| format!("{name}-{limit}"))
+    }
+
     fn outcome(
         &self,
         capture: &Path,
@@ -116,7 +128,11 @@ impl CompareArgs {
         let failed = |reason: String| Outcome::new(candidate, budget, Metrics::default(), Some(reason));
         if compared.first.is_none() {
             let only = FrameRange { start: 0, end: Some(1) };
-            let request = RunRequest { frames: Some(only), ..self.request(capture, &first) };
+            let mut request = RunRequest { frames: Some(only), ..self.request(capture, &first) };
+            if let Some(limit) = self.gaussians {
+                let first = &mut request.config.first_frame;
+                (first.max_points, first.max_gaussians) = (limit as usize, limit as usize);
+            }
             match finished(&request).map_or_else(|| started(&request), Ok) {
                 Ok(metrics) => compared.first = Some(metrics),
                 Err(error) => return failed(format!("no first frame: {error:#}")),
