@@ -9,12 +9,13 @@ use ffgs_motion::{MotionInput, move_by, observe, turned};
 use ffgs_motion_eval::{TrueFlow, Truth, flow_error};
 use ffgs_pipeline::args::LogArgs;
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::exposures::Exposures;
+use ffgs_pipeline::exposure_files::{load_training, read_exposures};
 use ffgs_pipeline::folder::RunFolder;
 use ffgs_pipeline::frame::select_views;
 use ffgs_pipeline::registry::open_capture;
 use ffgs_pipeline::request::FrameRange;
 use ffgs_pipeline::state;
+use ffgs_reconstruction::Exposures;
 use ffgs_trainer::from_points;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::BTreeMap;
@@ -98,7 +99,7 @@ impl Evaluation {
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
         ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");
         let run = args.run.clone().map(RunFolder);
-        let exposures = run.as_ref().map(Exposures::read).transpose()?.unwrap_or_default();
+        let exposures = run.as_ref().map(read_exposures).transpose()?.unwrap_or_default();
         if args.places == Places::Run && run.is_none() {
             bail!("--places run needs --run DIR");
         }
@@ -151,8 +152,8 @@ impl Evaluation {
         flow: &mut FlowErrors,
     ) -> Result<(Cells, Seconds)> {
         let (moving, fixed) = self.layers(frame)?;
-        let before = self.exposures.load_training(&*self.capture, &self.views, frame - 1)?;
-        let now = self.exposures.load_training(&*self.capture, &self.views, frame)?;
+        let before = load_training(&*self.capture, &self.exposures, &self.views, frame - 1)?;
+        let now = load_training(&*self.capture, &self.exposures, &self.views, frame)?;
         let previous = moving.positions();
         let step = Step {
             frame,

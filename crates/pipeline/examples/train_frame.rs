@@ -4,7 +4,7 @@
 use anyhow::{Context, Result, bail};
 use ffgs_core::SkyCube;
 use ffgs_method::RenderMode;
-use ffgs_pipeline::{exposures::Exposures, frame::select_views, registry::open_capture};
+use ffgs_pipeline::{frame, registry::open_capture};
 use ffgs_trainer::{
     CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, camera_extent, from_points, train_first_frame,
 };
@@ -18,7 +18,7 @@ fn main() -> Result<()> {
         _ => bail!("CAPTURE OUT.ply [ITERATIONS]"),
     };
     let capture = open_capture(Path::new(capture))?;
-    let views = Exposures::default().load_training(&*capture, &select_views(&*capture, None)?, 0)?;
+    let views = frame::all_views(&*capture, &frame::select_views(&*capture, None)?, 0)?;
     let points = capture.points()?.context("the capture has no initial points")?;
     let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);

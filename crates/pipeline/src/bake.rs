@@ -1,5 +1,6 @@
 //! Frames of a run fitted to plain viewers: the static layer once, the dynamic one in each frame.
 
+use crate::exposure_files::load_equal;
 use crate::finished_run::FinishedRun;
 use crate::frame::{init_views, select_views, training_views};
 use anyhow::Result;
@@ -79,7 +80,7 @@ impl<'a> Baker<'a> {
         let capture = &*self.run.capture;
         let selected = select_views(capture, self.run.manifest.train_views.as_deref())?;
         let views = [training_views(&selected, frame), init_views(capture, frame)].concat();
-        self.run.exposures.load(capture, &views).map(|(views, _)| views)
+        load_equal(capture, &self.run.exposures, &views).map(|(views, _)| views)
     }
 }
 

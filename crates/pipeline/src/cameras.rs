@@ -1,9 +1,9 @@
 //! `cameras.json`: the cameras of a capture, for the page that plays a stream.
 
-use crate::exposures::Exposures;
 use anyhow::Result;
 use ffgs_core::Exposure;
 use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_reconstruction::Exposures;
 use serde::Serialize;
 
 /// `cameras.json`: the cameras of a capture.

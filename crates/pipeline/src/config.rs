@@ -6,6 +6,7 @@ use ffgs_core::read_text;
 use ffgs_fusion::{DensifyConfig, FusionConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
+use ffgs_reconstruction::ReconstructionConfig;
 use ffgs_trainer::{
     BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, ResolutionConfig,
     StaticMethod,
@@ -147,6 +148,22 @@ impl Config {
             fusion: self.fusion,
             alignment: self.alignment,
             densification: self.densification,
+        }
+    }
+
+    /// The settings of a frame's steps but for the motion initialisation.
+    pub fn reconstruction(&self) -> ReconstructionConfig {
+        ReconstructionConfig {
+            seed: self.seed,
+            sky_face_size: self.sky_face_size,
+            first_frame: self.first_frame,
+            marking: self.marking,
+            densification: self.densification,
+            birth: self.birth,
+            resolution: self.resolution,
+            dynamic: self.dynamic,
+            background: self.background,
+            disocclusion: self.disocclusion,
         }
     }
 

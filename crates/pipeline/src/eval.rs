@@ -1,7 +1,6 @@
 //! `ffgs eval`: measures a finished run again.
 
 use crate::args::EvalArgs;
-use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
 use crate::json::{read_json, write_json};
 use crate::lock::FolderLock;
@@ -13,6 +12,7 @@ use crate::video::score_videos;
 use crate::vmaf::Vmaf;
 use anyhow::{Result, anyhow, bail};
 use ffgs_method::Split;
+use ffgs_reconstruction::Devices;
 use ffgs_report::FramePictures;
 
 /// Renders and measures the test views of every finished frame and the videos that they make, and writes metrics and report

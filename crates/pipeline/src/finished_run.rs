@@ -1,6 +1,6 @@
 //! A run that has finished frames, to be read.
 
-use crate::exposures::Exposures;
+use crate::exposure_files::read_exposures;
 use crate::folder::RunFolder;
 use crate::json::read_json;
 use crate::manifest::Manifest;
@@ -10,6 +10,7 @@ use crate::state;
 use anyhow::{Result, bail};
 use ffgs_core::Scene;
 use ffgs_method::Capture;
+use ffgs_reconstruction::Exposures;
 use std::path::Path;
 
 /// A run with at least one finished frame, and its capture.
@@ -52,7 +53,7 @@ impl FinishedRun {
             );
         }
         let capture = open_capture(at)?;
-        let exposures = Exposures::read(&folder)?;
+        let exposures = read_exposures(&folder)?;
         Ok(Self { folder, manifest, capture, exposures, frames, thinned })
     }
 

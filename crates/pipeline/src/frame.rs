@@ -2,7 +2,7 @@
 
 use crate::provenance::{Checksum, load_with_checksum};
 use anyhow::Result;
-use ffgs_core::{Camera, Mask, TrainingView};
+use ffgs_core::TrainingView;
 use ffgs_method::{Capture, Split, ViewAt};
 use rayon::prelude::*;
 
@@ -64,7 +64,11 @@ fn all_of(capture: &dyn Capture, split: Split, frame: usize) -> Vec<ViewAt> {
     (0..capture.views(split).len()).map(|view| ViewAt { split, view, frame }).collect()
 }
 
-/// Cameras of the views, and their masks.
-pub(crate) fn cameras_and_masks(views: &[TrainingView]) -> (Vec<Camera>, Vec<Mask>) {
-    views.iter().map(|v| (v.camera, v.mask.clone())).unzip()
+/// The training views `views` (by index) of a frame, and after them those that only frame 0 has.
+///
+/// # Errors
+/// When one of them cannot be read.
+pub fn all_views(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<TrainingView>> {
+    load_views(capture, &[training_views(views, frame), init_views(capture, frame)].concat())
+        .map(|(views, _)| views)
 }

@@ -1,12 +1,12 @@
 //! How an export looks in a player, beside the run's own renders.
 
-use crate::exposures::Exposures;
-use crate::picture::{draw, panorama_picture, sky_picture};
+use crate::picture::{draw, panorama_picture};
 use crate::scoring::{TestView, load_tests};
 use anyhow::Result;
 use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
 use ffgs_metrics::mpsnr;
+use ffgs_reconstruction::{Exposures, sky_picture};
 use ffgs_splats::Panorama;
 use serde::{Deserialize, Serialize};
 

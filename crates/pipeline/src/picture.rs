@@ -1,17 +1,9 @@
 //! Pictures of Gaussians before a sky, on the CPU.
 
-use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube};
+use ffgs_core::{Camera, Gaussians, PlanarImage};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_splats::Panorama;
-use ffgs_trainer::SkyView;
 use glam::DVec2;
-
-/// What a camera sees of the sky of a run: sRGB, 0..=1.
-pub fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
-    let mut picture = PlanarImage::zeros(camera.size());
-    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
-    picture
-}
 
 /// What a camera sees of the sky of a stream: sRGB, 0..=1.
 pub fn panorama_picture(sky: &Panorama, camera: &Camera) -> PlanarImage {

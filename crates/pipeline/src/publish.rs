@@ -1,6 +1,6 @@
 //! `metrics.json` and `report.html`.
 
-use crate::exposures::Exposures;
+use crate::exposure_files::{exposures_fact, read_exposures};
 use crate::folder::RunFolder;
 use crate::json::{read_json, write_json};
 use crate::manifest::Manifest;
@@ -29,7 +29,9 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
         facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
     }
-    facts.extend(Exposures::read(folder)?.fact().map(|value| Fact { name: "exposures".into(), value }));
+    facts.extend(
+        exposures_fact(&read_exposures(folder)?).map(|value| Fact { name: "exposures".into(), value }),
+    );
     let scored = folder.motion_accuracy();
     let input = ReportInput {
         motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },

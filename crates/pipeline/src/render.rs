@@ -1,7 +1,6 @@
 //! `ffgs render`: pictures of a finished run.
 
 use crate::args::RenderArgs;
-use crate::devices::Devices;
 use crate::finished_run::FinishedRun;
 use crate::folder::RunFolder;
 use crate::orbit::{clear_of, orbit};
@@ -10,6 +9,7 @@ use crate::terminal::{self, progress};
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, Exposure, ImageRgb8};
 use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_reconstruction::Devices;
 use std::path::Path;
 use std::process::{Command, Stdio};
 

@@ -1,23 +1,16 @@
 //! `ffgs run`: the main job. Read this first: it composes every stage of the method.
 
-use crate::birth;
 use crate::check::check_capture;
 use crate::choice::MethodChoice;
 use crate::config::Config;
 use crate::console::Console;
 use crate::device;
-use crate::devices::Devices;
-use crate::disocclusion;
-use crate::exposures::{self, Exposures};
-use crate::few_views::trial;
-use crate::first_frame::sky_or_none;
+use crate::exposure_files::{exposures_fact, load_equal, load_training, read_exposures, write_exposures};
 use crate::folder::RunFolder;
 use crate::frame::{init_views, load_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
-use crate::knowledge::Predicted;
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
-use crate::marking::{mark_again, split};
 use crate::memory;
 use crate::memory_need;
 use crate::method::Parts;
@@ -28,7 +21,6 @@ use crate::registry::open_capture;
 use crate::request::RunRequest;
 use crate::scene_files::write_splats;
 use crate::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnails, write_png};
-use crate::start::start;
 use crate::state;
 use crate::turntable::write_turntable;
 use anyhow::{Context, Result, bail};
@@ -36,6 +28,13 @@ use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomica
 use ffgs_dataset::ImageCheck;
 use ffgs_method::{Capture, Finetuning, MotionMethod, Step, TrackSource, ViewAt};
 use ffgs_rasterizer_gpu::SceneDevice;
+use ffgs_reconstruction::exposures::can_be_told;
+use ffgs_reconstruction::few_views::trial;
+use ffgs_reconstruction::initial_points::start;
+use ffgs_reconstruction::knowledge::Predicted;
+use ffgs_reconstruction::marking::{mark_again, split};
+use ffgs_reconstruction::sky::sky_or_none;
+use ffgs_reconstruction::{Devices, Exposures, birth, disocclusion};
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
 use ffgs_trainer::{FirstFrame, StaticLane, camera_extent};
 use std::io::Write;
@@ -216,8 +215,8 @@ impl<'a> Job<'a> {
             let scene = state::load(&self.folder.state(frame), frame)?;
             let saved = self.folder.read_method_state(frame)?;
             method.restore(&saved, &scene).with_context(|| self.named("state"))?;
-            let exposures = Exposures::read(&self.folder)?;
-            let views = exposures.load_training(&*self.capture, &self.views, frame)?;
+            let exposures = read_exposures(&self.folder)?;
+            let views = load_training(&*self.capture, &exposures, &self.views, frame)?;
             Ok(Last { scene, views, exposures })
         };
         Ok((metrics, frames.last().map(load).transpose()?))
@@ -268,7 +267,7 @@ impl<'a> Job<'a> {
         let count = self.views.len();
         let (mut scene, exposures) = if let Some(run) = &self.request.first_frame {
             let run = RunFolder(run.clone());
-            let exposures = Exposures::read(&run)?;
+            let exposures = read_exposures(&run)?;
             exposures.remove(&*self.capture, &shots, &mut views)?;
             (self.taken_from(&run, frame, &views)?, exposures)
         } else {
@@ -277,7 +276,7 @@ impl<'a> Job<'a> {
             let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
             (split(&self.config().marking, &trained.gaussians, sky, &views[..count], &views)?, exposures)
         };
-        exposures.write(&self.folder)?;
+        write_exposures(&exposures, &self.folder)?;
         if scene.dynamic.knowledge.information.is_empty() {
             let learning = Instant::now();
             self.learn(&mut scene, None, &views);
@@ -330,7 +329,7 @@ impl<'a> Job<'a> {
             self.devices().first_frame(
                 config,
                 views,
-                start(&*self.capture, self.config(), config.sh_degree, views)?,
+                start(&*self.capture, &self.config().reconstruction(), config.sh_degree, views)?,
                 camera_extent(views),
                 self.config().seed,
                 &mut |p| bar.show(p),
@@ -344,13 +343,13 @@ impl<'a> Job<'a> {
         }
         let first = train("first frame", views)?;
         let estimating = Instant::now();
-        let exposures = if config.exposures && exposures::can_be_told(config.iterations, views.len()) {
+        let exposures = if config.exposures && can_be_told(config.iterations, views.len()) {
             Exposures::estimate(&*self.capture, shots, views, &first.gaussians)
         } else {
             Exposures::default()
         };
         log.since("exposures", estimating);
-        let Some(differ) = exposures.fact() else { return Ok((first, exposures)) };
+        let Some(differ) = exposures_fact(&exposures) else { return Ok((first, exposures)) };
         tracing::info!("exposures {differ}");
         exposures.remove(&*self.capture, shots, views)?;
         Ok((train(EQUAL, views)?, exposures))
@@ -367,7 +366,7 @@ impl<'a> Job<'a> {
     ) -> Result<(Last, FrameRecord)> {
         let start = Instant::now();
         let Last { mut scene, views: before, exposures } = last;
-        let (now, sums) = exposures.load(&*self.capture, &training_views(&self.views, frame))?;
+        let (now, sums) = load_equal(&*self.capture, &exposures, &training_views(&self.views, frame))?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let log = &mut record.log;
         log.since("load", start);
@@ -447,8 +446,8 @@ impl<'a> Job<'a> {
     ) -> Result<()> {
         let start = Instant::now();
         let bar = console.lane("birth", self.config().birth.iterations);
-        let report = &mut |p| bar.show(p);
-        let born = birth::add_newborn(self.devices(), self.config(), scene, views, self.seed(frame), report)?;
+        let (report, config) = (&mut |p| bar.show(p), self.config().reconstruction());
+        let born = birth::add_newborn(self.devices(), &config, scene, views, self.seed(frame), report)?;
         if born > 0 {
             tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
         }

@@ -1,7 +1,5 @@
 //! Renders the test views of a frame and measures them.
 
-use crate::devices::Devices;
-use crate::exposures::Exposures;
 use crate::frame::{load_views, test_views};
 use crate::provenance::Checksum;
 use crate::record::ViewMetrics;
@@ -9,6 +7,8 @@ use anyhow::{Context, Result};
 use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_metrics::{image_ssim, masked_ssim, mpsnr, psnr};
+use ffgs_reconstruction::Devices;
+use ffgs_reconstruction::Exposures;
 use ffgs_report::Thumbnails;
 use rayon::prelude::*;
 use std::path::Path;

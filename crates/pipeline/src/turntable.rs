@@ -1,12 +1,12 @@
 //! A circle around what moves in the last frame of a run, for its report.
 
-use crate::devices::Devices;
 use crate::folder::RunFolder;
 use crate::json::write_json;
 use crate::orbit::{clear_of, orbit};
 use anyhow::Result;
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Scene};
 use ffgs_method::Capture;
+use ffgs_reconstruction::Devices;
 use ffgs_report::{Thumbnails, Turntable};
 
 /// Pictures of the circle: a quarter of those of `ffgs render --orbit`, and one megabyte of the report at most.

@@ -3,7 +3,7 @@
 use crate::args::LogArgs;
 use crate::cameras::Views;
 use crate::export::stream::{StreamExport, StreamOptions};
-use crate::exposures::Exposures;
+use crate::exposure_files::read_exposures;
 use crate::finished_run::FinishedRun;
 use crate::folder::RunFolder;
 use crate::json::read_json;
@@ -16,6 +16,7 @@ use crate::terminal;
 use anyhow::{Context, Result};
 use clap::Args;
 use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_reconstruction::Exposures;
 use ffgs_viewer::{Site, Source, Viewer};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -54,7 +55,7 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
         let manifest: Manifest = read_json(&run.manifest())?;
         let stream = run.inside(&["export", "stream"])?;
         let capture = open_capture(&manifest.capture_path)?;
-        let viewer = serve(Some((capture, Exposures::read(&run)?)), &stream, args.port)?;
+        let viewer = serve(Some((capture, read_exposures(&run)?)), &stream, args.port)?;
         follow(folder, &stream);
         viewer.wait();
     } else if folder.join("manifest.json").exists() {

@@ -4,10 +4,11 @@ use crate::failed;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube};
 use ffgs_pipeline::config::Config;
-use ffgs_pipeline::exposures::Exposures;
+use ffgs_pipeline::exposure_files::load_training;
 use ffgs_pipeline::frame::select_views;
 use ffgs_pipeline::orbit::orbit;
-use ffgs_pipeline::picture::{draw, panorama_picture, sky_picture};
+use ffgs_pipeline::picture::{draw, panorama_picture};
+use ffgs_reconstruction::{Exposures, sky_picture};
 use ffgs_splats::Panorama;
 use ffgs_trainer::{CpuBackend, Surroundings, train_dynamic};
 use glam::Vec3;
@@ -87,7 +88,7 @@ impl Frame {
         };
         let mut config = Config::default().dynamic;
         config.iterations = task.iterations.unwrap_or(config.iterations);
-        let views = self.exposures.load_training(&*capture.0, &select_views(&*capture.0, None)?, frame)?;
+        let views = load_training(&*capture.0, &self.exposures, &select_views(&*capture.0, None)?, frame)?;
         let around = Surroundings { static_layer: &self.still, sky, prior: None };
         let mut layer = self.moving.clone();
         if let Some(means) = &task.means {

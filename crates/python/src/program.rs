@@ -10,12 +10,12 @@ use ffgs_method::Capture;
 use ffgs_pipeline::cli::{Cli, Command};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::exposures::Exposures;
-use ffgs_pipeline::first_frame::{all_views, sky_or_none};
-use ffgs_pipeline::frame::select_views;
-use ffgs_pipeline::marking::split;
+use ffgs_pipeline::frame::{all_views, select_views};
 use ffgs_pipeline::stage::{Form, Stage, run as run_stage};
-use ffgs_pipeline::start::start;
+use ffgs_reconstruction::Exposures;
+use ffgs_reconstruction::initial_points::start;
+use ffgs_reconstruction::marking::split;
+use ffgs_reconstruction::sky::sky_or_none;
 use ffgs_trainer::{CpuBackend, camera_extent};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -56,7 +56,7 @@ fn trained(capture: &dyn Capture, iterations: Option<usize>, seed: u64) -> Resul
     let views = all_views(capture, &chosen, 0)?;
     let own = &views[..chosen.len()];
     let first = config.first_frame.for_views(views.len());
-    let points = start(capture, &config, first.sh_degree, &views)?;
+    let points = start(capture, &config.reconstruction(), first.sh_degree, &views)?;
     let extent = camera_extent(&views);
     let trained =
         ffgs_trainer::train_first_frame(&CpuBackend, &first, &views, points, extent, seed, &mut |_| {})?;

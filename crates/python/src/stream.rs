@@ -1,7 +1,7 @@
 use crate::failed;
 use crate::frame::{Frame, Sky};
 use anyhow::Result;
-use ffgs_pipeline::exposures::Exposures;
+use ffgs_reconstruction::Exposures;
 use ffgs_stream::Reader;
 use glam::Vec3;
 use pyo3::prelude::*;

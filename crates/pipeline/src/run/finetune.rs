@@ -2,9 +2,9 @@
 
 use super::Job;
 use crate::console::Console;
-use crate::knowledge::{self, Predicted};
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView};
+use ffgs_reconstruction::knowledge::{self, Predicted};
 use ffgs_trainer::{
     DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticLane, StaticTargets, Surroundings,
 };

@@ -2,8 +2,7 @@
 
 use super::ids::{Counts, Ids};
 use super::plan::Plan;
-use crate::devices::Devices;
-use crate::exposures::Exposures;
+use crate::exposure_files::{read_exposures, write_exposures};
 use crate::folder::RunFolder;
 use crate::json::{read_json, write_json};
 use crate::lock::FolderLock;
@@ -17,6 +16,7 @@ use crate::turntable::write_turntable;
 use anyhow::{Context, Result, ensure};
 use ffgs_core::Scene;
 use ffgs_method::Capture;
+use ffgs_reconstruction::Devices;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -86,7 +86,7 @@ pub(super) fn join(plan: &Plan) -> Result<String> {
     manifest.frames = plan.frames.clone();
     (manifest.first_frame, manifest.segment_length) = (None, Some(plan.length));
     write_json(&joined.manifest(), &manifest)?;
-    Exposures::read(&plan.part(0))?.write(&joined)?;
+    write_exposures(&read_exposures(&plan.part(0))?, &joined)?;
     let first = state::load(&plan.first().state(plan.frames.start), plan.frames.start)?.dynamic.next_id;
     let (mut seams, mut records, mut last) = (Vec::new(), Vec::new(), None::<Scene>);
     for (number, part) in parts.iter().enumerate() {

@@ -2,7 +2,7 @@
 //! (docs/adr/0042-disoccluded-gaussians-are-trained.md).
 
 use crate::devices::Devices;
-use crate::frame::cameras_and_masks;
+use crate::marking::cameras_and_masks;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Mask, Scene, TrainingView};
 use ffgs_fusion::{ViewCounts, count_views};
@@ -24,7 +24,10 @@ fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<
 
 /// Per static Gaussian the rounds in which it is to be trained: `config.rounds` for those that `views`, all that frame 0
 /// has, mostly saw covered by something that moves.
-pub(crate) fn hidden(
+///
+/// # Errors
+/// When the masks do not fit their cameras.
+pub fn hidden(
     config: &DisocclusionConfig,
     layer: &Gaussians,
     views: &[TrainingView],
@@ -40,7 +43,10 @@ pub(crate) fn hidden(
 }
 
 /// Trains what was hidden and is in the open at t. Returns how many Gaussians that were.
-pub(crate) fn learn(
+///
+/// # Errors
+/// When the masks do not fit their cameras, or the device fails.
+pub fn learn(
     devices: Devices,
     config: &DisocclusionConfig,
     (scene, static_lane): (&mut Scene, &mut StaticLane),

@@ -1,6 +1,6 @@
 //! Training and rendering on the device of a run: each function picks the CPU or a GPU.
 
-use crate::picture::sky_picture;
+use crate::sky::sky_picture;
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// Device of each training lane: GPU i mod n for dynamic, static, sky; none = the CPU. GPU 0 does the rest.
 #[derive(Clone, Copy)]
-pub(crate) struct Devices<'a>(pub &'a [SceneDevice]);
+pub struct Devices<'a>(pub &'a [SceneDevice]);
 
 /// Progress callback, called after every step.
 type Report<'a> = &'a mut dyn FnMut(Progress);
@@ -28,7 +28,7 @@ impl<'a> Devices<'a> {
 
     /// Runs the three lanes of a frame at the same time. With one device the static lane and the sky take turns: they
     /// would only hold more memory.
-    pub(crate) fn together<D: Send, S: Send, K: Send>(
+    pub fn together<D: Send, S: Send, K: Send>(
         self,
         dynamic: impl FnOnce() -> D + Send,
         static_lane: impl FnOnce() -> S + Send,
@@ -47,7 +47,10 @@ impl<'a> Devices<'a> {
     }
 
     /// Frame 0.
-    pub(crate) fn first_frame(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn first_frame(
         self,
         config: &FirstFrameConfig,
         views: &[TrainingView],
@@ -63,7 +66,10 @@ impl<'a> Devices<'a> {
     }
 
     /// The moving Gaussians.
-    pub(crate) fn dynamic(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn dynamic(
         self,
         config: &DynamicLaneConfig,
         views: &[TrainingView],
@@ -80,7 +86,10 @@ impl<'a> Devices<'a> {
     }
 
     /// The static layer's colours.
-    pub(crate) fn static_layer(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn static_layer(
         self,
         lane: &mut StaticLane,
         config: &BackgroundConfig,
@@ -97,7 +106,10 @@ impl<'a> Devices<'a> {
     }
 
     /// The static Gaussians that come to light; whether any view shows them.
-    pub(crate) fn disoccluded(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn disoccluded(
         self,
         config: &DisocclusionConfig,
         what: Disoccluded,
@@ -112,7 +124,10 @@ impl<'a> Devices<'a> {
     }
 
     /// Moving Gaussians that join the layer; `None` when too few pixels show them.
-    pub(crate) fn newborn(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn newborn(
         self,
         config: &BirthConfig,
         newborn: Newborn,
@@ -127,7 +142,10 @@ impl<'a> Devices<'a> {
     }
 
     /// The sky.
-    pub(crate) fn sky(
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn sky(
         self,
         config: &BackgroundConfig,
         views: &[TrainingView],
@@ -143,7 +161,10 @@ impl<'a> Devices<'a> {
     }
 
     /// Depth-sorted renders of both layers over the sky; on a GPU several views in a submission.
-    pub(crate) fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
         let options = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
         let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };

@@ -1,10 +1,6 @@
-//! The exposures of a run's cameras: estimated once, removed from photographs, given back to renders (docs/adr/0055-exposures.md).
+//! The exposures of the cameras: estimated once, removed from photographs, given back to renders (docs/adr/0055-exposures.md).
 
-use crate::folder::RunFolder;
-use crate::frame::{load_views, training_views};
-use crate::json::{read_json, write_json};
-use crate::provenance::Checksum;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_trainer::estimate_exposures;
@@ -31,13 +27,13 @@ pub struct Exposures {
 }
 
 /// Whether a first frame of so many steps over `views` photographs shows the exposures.
-pub(crate) fn can_be_told(steps: usize, views: usize) -> bool {
+pub fn can_be_told(steps: usize, views: usize) -> bool {
     steps >= LEAST_STEPS * views
 }
 
 impl Exposures {
     /// Of the photographs `views`, taken at `shots`, on the surfaces of a first frame that was trained on them.
-    pub(crate) fn estimate(
+    pub fn estimate(
         capture: &dyn Capture,
         shots: &[ViewAt],
         views: &[TrainingView],
@@ -64,48 +60,20 @@ impl Exposures {
     }
 
     /// Root mean square of the training views' offsets (log odds).
-    pub(crate) fn deviation(&self) -> f64 {
+    pub fn deviation(&self) -> f64 {
         let offsets: Vec<f64> = self.train.values().flatten().copied().collect();
         (offsets.iter().map(|o| o * o).sum::<f64>() / offsets.len().max(1) as f64).sqrt()
     }
 
     /// Whether all cameras agree.
-    pub(crate) fn are_neutral(&self) -> bool {
+    pub fn are_neutral(&self) -> bool {
         self.train.is_empty()
     }
 
-    /// Those of a run; neutral where it wrote none.
-    ///
-    /// # Errors
-    /// When the file is damaged.
-    pub fn read(folder: &RunFolder) -> Result<Self> {
-        let file = folder.exposures();
-        if !file.exists() {
-            return Ok(Self::default());
-        }
-        let exposures: Self = read_json(&file)?;
-        let all = exposures.train.values().chain(exposures.init.values()).flatten();
-        anyhow::ensure!(
-            all.clone().all(|offset| offset.is_finite() && offset.abs() < 20.0),
-            "{}: an offset is no number between -20 and 20; bring the file back",
-            file.display()
-        );
-        Ok(exposures)
-    }
-
-    /// Writes them for the frames to come; removes those of an earlier run where all cameras agree.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
-    pub(crate) fn write(&self, folder: &RunFolder) -> Result<()> {
-        let file = folder.exposures();
-        if !self.are_neutral() {
-            return write_json(&file, self);
-        }
-        if file.exists() {
-            std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
-        }
-        Ok(())
+    /// Whether every offset is a number between -20 and 20.
+    pub fn are_sound(&self) -> bool {
+        let all = self.train.values().chain(self.init.values()).flatten();
+        all.copied().all(|offset| offset.is_finite() && offset.abs() < 20.0)
     }
 
     /// Of one view. A camera that was not trained on has the mean of the training cameras, the nearest of which count most, as
@@ -113,7 +81,7 @@ impl Exposures {
     ///
     /// # Errors
     /// When a camera cannot be read.
-    pub(crate) fn of(&self, capture: &dyn Capture, at: ViewAt) -> Result<Exposure> {
+    pub fn of(&self, capture: &dyn Capture, at: ViewAt) -> Result<Exposure> {
         if self.are_neutral() {
             return Ok(Exposure::NEUTRAL);
         }
@@ -146,57 +114,20 @@ impl Exposures {
     ///
     /// # Errors
     /// When a camera cannot be read.
-    pub(crate) fn remove(
-        &self,
-        capture: &dyn Capture,
-        shots: &[ViewAt],
-        views: &mut [TrainingView],
-    ) -> Result<()> {
+    pub fn remove(&self, capture: &dyn Capture, shots: &[ViewAt], views: &mut [TrainingView]) -> Result<()> {
         for (&at, view) in shots.iter().zip(views).filter(|_| !self.are_neutral()) {
             view.image = self.of(capture, at)?.removed(&view.image);
         }
         Ok(())
     }
 
-    /// Loads views in one exposure, in parallel, and the checksums of what they were read from.
-    ///
-    /// # Errors
-    /// When one of them cannot be read.
-    pub(crate) fn load(
-        &self,
-        capture: &dyn Capture,
-        shots: &[ViewAt],
-    ) -> Result<(Vec<TrainingView>, Vec<Checksum>)> {
-        let (mut views, sums) = load_views(capture, shots)?;
-        self.remove(capture, shots, &mut views)?;
-        Ok((views, sums))
-    }
-
-    /// Loads the training views `views` (by index) of a frame in one exposure.
-    ///
-    /// # Errors
-    /// When one of them cannot be read.
-    pub fn load_training(
-        &self,
-        capture: &dyn Capture,
-        views: &[usize],
-        frame: usize,
-    ) -> Result<Vec<TrainingView>> {
-        self.load(capture, &training_views(views, frame)).map(|(views, _)| views)
-    }
-
-    /// What the report says of them; `None` where all cameras agree.
-    pub(crate) fn fact(&self) -> Option<String> {
+    /// The training view whose exposure differs most, and by how much (log odds); `None` where all cameras agree.
+    pub fn furthest(&self) -> Option<(&str, f64)> {
         let largest = |offsets: &[f64; 3]| {
             offsets.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
         };
-        let furthest = self.train.iter().map(|(name, offsets)| (name, largest(offsets)));
-        let (name, offset) = furthest.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
-        Some(format!(
-            "differ by {:.2} (root mean square of the log odds), most {name} by {offset:+.2}; removed from the photographs, \
-             given back to the renders (exposures.json)",
-            self.deviation()
-        ))
+        let offsets = self.train.iter().map(|(name, offsets)| (name.as_str(), largest(offsets)));
+        offsets.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
     }
 }
 
@@ -235,14 +166,15 @@ fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::registry::open_capture;
     use ffgs_core::{ImageSize, Intrinsics};
+    use ffgs_dataset::Dynamic3dGaussians;
+    use ffgs_method::CaptureFormat;
     use glam::{DMat4, DVec3};
     use std::path::Path;
 
     fn sample() -> Box<dyn Capture> {
         let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
-        open_capture(&sample).unwrap()
+        Dynamic3dGaussians.open(&sample).unwrap()
     }
 
     /// Training view `bright` by +1, the others by nothing.
@@ -291,17 +223,16 @@ mod tests {
     }
 
     #[test]
-    fn a_run_keeps_them_and_damage_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder(folder.path().to_owned());
-        let exposures = one_bright(&*sample(), 2);
-        exposures.write(&run).unwrap();
-        assert_eq!(Exposures::read(&run).unwrap(), exposures);
-        let said = exposures.fact().unwrap();
-        assert!(said.contains("+1.00") && said.contains(&sample().views(Split::Train)[2]), "{said}");
-        std::fs::write(run.exposures(), r#"{"train": {"a": [1e9, 0, 0]}, "init": {}}"#).unwrap();
-        assert!(format!("{:#}", Exposures::read(&run).unwrap_err()).contains("exposures.json"));
-        Exposures::default().write(&run).unwrap();
-        assert!(!run.exposures().exists() && Exposures::read(&run).unwrap().fact().is_none());
+    fn the_camera_that_differs_most_is_named_and_offsets_have_bounds() {
+        let capture = sample();
+        let mut exposures = one_bright(&*capture, 2);
+        let names = capture.views(Split::Train);
+        assert_eq!(exposures.furthest(), Some((names[2].as_str(), 1.0)));
+        assert!(exposures.are_sound() && !exposures.are_neutral());
+        assert_eq!(Exposures::default().furthest(), None);
+        for wrong in [f64::NAN, 1e9] {
+            exposures.init.insert("other".to_owned(), [0.0, wrong, 0.0]);
+            assert!(!exposures.are_sound(), "{wrong}");
+        }
     }
 }

@@ -1,8 +1,7 @@
 //! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
 
-use crate::frame::cameras_and_masks;
 use anyhow::Result;
-use ffgs_core::{Dynamic, Gaussians, Scene, SkyCube, TrainingView, spatial_order};
+use ffgs_core::{Camera, Dynamic, Gaussians, Mask, Scene, SkyCube, TrainingView, spatial_order};
 use ffgs_fusion::{Silhouettes, initial_covariance};
 use ffgs_motion::{MarkingConfig, join, pixel_sizes};
 use ffgs_trainer::BackgroundConfig;
@@ -42,7 +41,7 @@ pub fn split(
 ///
 /// # Errors
 /// When the masks do not fit their cameras.
-pub(crate) fn mark_again(
+pub fn mark_again(
     marking: &MarkingConfig,
     background: &BackgroundConfig,
     scene: &mut Scene,
@@ -84,6 +83,11 @@ fn follow<T: Copy>(column: &mut Vec<T>, standing: &[usize], stopping: usize, val
     }
 }
 
+/// Cameras of the views, and their masks.
+pub(crate) fn cameras_and_masks(views: &[TrainingView]) -> (Vec<Camera>, Vec<Mask>) {
+    views.iter().map(|v| (v.camera, v.mask.clone())).unzip()
+}
+
 fn silhouettes(marking: &MarkingConfig, views: &[TrainingView]) -> Result<Silhouettes> {
     let (cameras, masks) = cameras_and_masks(views);
     Ok(Silhouettes::new(&cameras, &masks, marking.dilation, marking.slack())?)
@@ -100,7 +104,7 @@ fn covariances(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics};
     use glam::DMat4;
 
     const SIZE: ImageSize = ImageSize { width: 40, height: 30 };

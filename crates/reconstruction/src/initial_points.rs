@@ -1,6 +1,6 @@
 //! Where the first frame's training starts.
 
-use crate::config::Config;
+use crate::config::ReconstructionConfig;
 use anyhow::{Context, Result};
 use ffgs_core::{ImageSize, SkyCube, TrainingView, spatial_order};
 use ffgs_method::Capture;
@@ -12,7 +12,7 @@ use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, from_points};
 /// When the capture has no initial points or they cannot be read.
 pub fn start(
     capture: &dyn Capture,
-    config: &Config,
+    config: &ReconstructionConfig,
     degree: usize,
     views: &[TrainingView],
 ) -> Result<FirstFrame> {

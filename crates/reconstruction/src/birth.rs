@@ -1,6 +1,6 @@
 //! Moving Gaussians where masks are not explained: what enters after frame 0, or was lost (docs/adr/0049-birth.md).
 
-use crate::config::Config;
+use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Mask, Scene, TrainingView, sigmoid};
@@ -17,9 +17,12 @@ const LEAST_SEEDS: usize = 8;
 const EXPLAINS: f64 = 0.5;
 
 /// Adds moving Gaussians where the masks of `views` are not explained; returns how many.
-pub(crate) fn add_newborn(
+///
+/// # Errors
+/// When the device fails.
+pub fn add_newborn(
     devices: Devices,
-    config: &Config,
+    config: &ReconstructionConfig,
     scene: &mut Scene,
     views: &[TrainingView],
     seed: u64,
@@ -51,7 +54,7 @@ fn all_unexplained(layer: &Gaussians, views: &[TrainingView]) -> Vec<Mask> {
 
 /// Places for at most `most` Gaussians in `open`.
 fn find_seeds(
-    config: &Config,
+    config: &ReconstructionConfig,
     scene: &Scene,
     views: &[TrainingView],
     open: &[Mask],
@@ -173,7 +176,7 @@ mod tests {
     }
 
     fn born(scene: &mut Scene, views: &[TrainingView]) -> usize {
-        add_newborn(Devices(&[]), &Config::default(), scene, views, 1, &mut |_| {}).unwrap()
+        add_newborn(Devices(&[]), &ReconstructionConfig::default(), scene, views, 1, &mut |_| {}).unwrap()
     }
 
     fn open_pixels(scene: &Scene, views: &[TrainingView]) -> usize {
