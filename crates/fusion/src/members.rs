@@ -35,6 +35,7 @@ struct Residual {
 pub(crate) struct Members {
     /// Their mean place at t-1 (m).
     pub centre: DVec3,
+    count: usize,
     trackers: usize,
     /// (B) places at t-1 from the centre (m).
     places: Vec<[Lanes; 3]>,
@@ -68,7 +69,13 @@ impl Members {
                 to.information.iter_mut().zip(one.information.to_array()).for_each(|(c, v)| c[lane] = v);
             }
         }
-        Self { centre, trackers, places, told }
+        Self { centre, count: members.len(), trackers, places, told }
+    }
+
+    /// Root mean square distance from the centre at t-1 (m).
+    pub(crate) fn extent(&self) -> f64 {
+        let squares = self.places.iter().flatten().flatten().map(|v| v * v).sum::<f64>();
+        (squares / self.count.max(1) as f64).sqrt()
     }
 
     /// Number of trackers L.

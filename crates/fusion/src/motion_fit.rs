@@ -22,13 +22,13 @@ pub(crate) struct MotionFit {
 
 /// Most re-weighted Gauss-Newton steps.
 const STEPS: usize = 6;
-/// A change below this (m, rad) ends them; the next one would be far smaller than any tracker's error.
+/// A change below this (rad, and at the members' typical distance from their centre) ends them; the next one would be far smaller than any tracker's error.
 const CONVERGED: f64 = 1e-4;
 
 /// Fits the motion of the members by re-weighted least squares from `start`; every tracker's noise is scaled to what
 /// its estimates show. `None` when the members do not determine a motion.
 pub(crate) fn fit_motion(members: &Members, start: RigidMotion) -> Option<MotionFit> {
-    let centre = members.centre;
+    let (centre, extent) = (members.centre, members.extent());
     let mut motion = RigidMotion { centre, rotation: start.rotation, step: start.apply(centre) - centre };
     let mut residuals = members.residuals(&motion);
     let mut fit = MotionFit { motion, scales: Vec::new(), information: Matrix6::zeros() };
@@ -40,7 +40,8 @@ pub(crate) fn fit_motion(members: &Members, start: RigidMotion) -> Option<Motion
         motion.step += DVec3::new(x[0], x[1], x[2]);
         let turn = DQuat::from_scaled_axis(DVec3::new(x[3], x[4], x[5]));
         motion.rotation = (turn * motion.rotation).normalize();
-        if x.amax() < CONVERGED {
+        let shift = x.fixed_rows::<3>(0).amax();
+        if x.fixed_rows::<3>(3).amax() < CONVERGED && shift < CONVERGED * extent {
             break;
         }
         residuals.update(&motion);

@@ -128,6 +128,40 @@ fn rigid_groups_beat_independent_fusion() {
 }
 
 #[test]
+fn units_do_not_matter() {
+    let metres = scene(3);
+    let fused_in = |unit: f64| {
+        let places = |all: &[DVec3]| all.iter().map(|&place| place * unit).collect::<Vec<_>>();
+        let scaled =
+            |all: &[DMat3]| all.iter().map(|&covariance| covariance * unit * unit).collect::<Vec<_>>();
+        let estimates = metres.estimates.iter().map(|e| Estimates {
+            means: places(&e.means),
+            covariances: scaled(&e.covariances),
+            status: e.status.clone(),
+        });
+        let prior = DMat3::from_diagonal(DVec3::splat(PRIOR_SIGMA * PRIOR_SIGMA));
+        let fused = InformationFuser { config: FusionConfig::default() }.fuse(&FusionInput {
+            prior_means: &places(&metres.previous),
+            prior_covariances: &scaled(&vec![prior; metres.truth.len()]),
+            estimates: &estimates.collect::<Vec<_>>(),
+            previous_steps: None,
+            groups: None,
+            last_q: 0.0,
+            q_floor_m: 0.0,
+            observed: None,
+            flexibility: None,
+        });
+        fused.unwrap().means.iter().map(|&mean| mean / unit).collect::<Vec<DVec3>>()
+    };
+    let here = fused_in(1.0);
+    for unit in [1e-4, 1e4] {
+        let there = fused_in(unit);
+        let away = here.iter().zip(&there).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        assert!(away < 1e-5, "unit {unit}: {away} m");
+    }
+}
+
+#[test]
 fn fusion_does_not_depend_on_the_number_of_threads() {
     let scene = scene(3);
     let run = |threads: usize| {

@@ -1,6 +1,6 @@
 //! Chunks of Gaussians that a view cannot show are not projected.
 
-use crate::constants::{NEAR, PIXEL_FILTER};
+use crate::constants::PIXEL_FILTER;
 use crate::elementary::exp;
 use crate::projection::{MAX_REACH, PinholeF32};
 use crate::tiles::{TileGrid, TileMask, tile_range};
@@ -33,6 +33,9 @@ pub(crate) fn chunks_of<'a>(layers: &[&'a Gaussians]) -> Vec<Chunk<'a>> {
     }
     chunks
 }
+
+/// Rounding of a place in the camera in f32, as a share of its distance.
+const ROUNDING: f32 = 1e-6;
 
 /// Where chunks of consecutive Gaussians lie. Worth making once for many views, where neighbours in memory are neighbours
 /// in space.
@@ -81,7 +84,7 @@ impl Sphere {
         let radius = 0.5 * (high - low).length();
         let scale = log_scales.iter().flatten().copied().fold(f32::NEG_INFINITY, f32::max);
         // Rounded up: the projection works in f32.
-        Self { centre, radius: radius as f32 * 1.001 + 1e-6, sigma: exp(scale) * 1.001 }
+        Self { centre, radius: radius as f32 * 1.001, sigma: exp(scale) * 1.001 }
     }
 
     /// Whether a splat of the chunk may touch a computed tile.
@@ -93,14 +96,14 @@ impl Sphere {
         tiles: Option<&TileMask>,
     ) -> bool {
         let at = camera.rotation * (self.centre - camera.center).as_vec3();
-        if at.z + self.radius < NEAR {
+        let radius = self.radius + ROUNDING * at.length();
+        if at.z + radius < 0.0 {
             return false;
         }
-        let nearest = at.z - self.radius;
-        if !(nearest > NEAR) {
+        if !(at.z - radius > 0.0) {
             return true;
         }
-        let extent = |axis: usize| camera.extent(axis, [at[axis], at.z], self.radius, self.sigma);
+        let extent = |axis: usize| camera.extent(axis, [at[axis], at.z], radius, self.sigma);
         let ([left, right], [top, bottom]) = (extent(0), extent(1));
         let outside = right < 0.0 || left > size[0] || bottom < 0.0 || top > size[1];
         let columns = tile_range(left, right, grid.columns);

@@ -186,7 +186,7 @@ pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &P
     let clamped = [sx != slope[0], sy != slope[1]];
     // A sum is finite only if every part is.
     let sum = point.x.abs() + point.y.abs() + point.z + covariance[0] + covariance[1].abs() + covariance[2];
-    let valid = (point.z >= NEAR) & (sum < f32::INFINITY);
+    let valid = (point.z >= NEAR * scales.x.max(scales.y).max(scales.z)) & (sum < f32::INFINITY);
     Ewa { point, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance, valid }
 }
 

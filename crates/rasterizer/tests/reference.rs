@@ -148,3 +148,21 @@ fn results_do_not_depend_on_the_number_of_threads() {
     };
     assert!(run(1) == run(3));
 }
+
+#[test]
+fn a_scene_in_other_units_looks_the_same() {
+    // Powers of two leave the digits of positions as they are. In the smallest the scene is nearer than a millimetre.
+    for (path, unit) in cases().into_iter().flat_map(|p| [(p.clone(), 1.0 / 4096.0), (p, 4096.0)]) {
+        let mut case = Case::load(&path);
+        let here = case.render();
+        case.gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= unit);
+        case.gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|v| *v += unit.ln());
+        let mut pose = case.camera.camera_from_world();
+        pose.w_axis = (pose.w_axis.truncate() * f64::from(unit)).extend(1.0);
+        case.camera = Camera::new(case.camera.intrinsics(), pose, case.camera.size()).unwrap();
+        let there = case.render();
+        let expected: Vec<f64> = here.image().data().iter().map(|&v| f64::from(v)).collect();
+        let worst = largest_difference(there.image().data(), &expected);
+        assert!(worst < 1e-3, "{} times {unit}: {worst:e}", path.display());
+    }
+}

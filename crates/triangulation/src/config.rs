@@ -29,8 +29,9 @@ pub struct TriangulationConfig {
     pub min_noise_px: f64,
     /// Largest accepted residual (px, root mean square over a Gaussian's views).
     pub max_residual_px: f64,
-    /// Largest accepted step from the previous mean beyond three of its own standard deviations (m).
-    pub max_step_m: f64,
+    /// Largest accepted step from the previous mean beyond three of its own standard deviations, in median distances of the
+    /// means from the cameras.
+    pub max_step: f64,
 }
 
 impl Default for TriangulationConfig {
@@ -46,7 +47,7 @@ impl Default for TriangulationConfig {
             pooled_degrees: 6.0,
             min_noise_px: 1e-3,
             max_residual_px: 10.0,
-            max_step_m: 20.0,
+            max_step: 1.0,
         }
     }
 }
@@ -73,7 +74,7 @@ impl TriangulationConfig {
             self.outlier_cut_px,
             self.min_noise_px,
             self.max_residual_px,
-            self.max_step_m,
+            self.max_step,
         ];
         not_negative.iter().all(|v| *v >= 0.0 && v.is_finite()) && positive.iter().all(|v| *v > 0.0)
     }

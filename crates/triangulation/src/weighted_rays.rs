@@ -75,6 +75,7 @@ impl WeightedRays {
             arch.dispatch(SolveChunk { batch: &batch, scales, first: chunk * CHUNK, out });
         });
         let pooled = pooled_variance(&solutions);
+        let max_step = self.config.max_step * typical_distance(previous, cameras);
         out.means.resize(previous.len(), DVec3::ZERO);
         out.covariances.resize(previous.len(), DMat3::ZERO);
         out.status.resize(previous.len(), EstimateStatus::TooFewViews);
@@ -82,7 +83,7 @@ impl WeightedRays {
         columns.zip(&solutions).zip(previous).with_min_len(CHUNK).for_each(|((to, solution), &mean)| {
             let ((place, covariance), status) = to;
             let step;
-            (step, *covariance, *status) = accept(solution, pooled, &self.config);
+            (step, *covariance, *status) = accept(solution, (pooled, max_step), &self.config);
             *place = mean + step;
         });
         Ok(())
@@ -234,7 +235,11 @@ fn pooled_variance(solutions: &[Outcome]) -> f64 {
 }
 
 /// Shrinks the variance, scales the covariance and applies the acceptance limits.
-fn accept(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec3, DMat3, EstimateStatus) {
+fn accept(
+    outcome: &Outcome,
+    (pooled, max_step): (f64, f64),
+    config: &TriangulationConfig,
+) -> (DVec3, DMat3, EstimateStatus) {
     let failed = |status| (DVec3::ZERO, DMat3::ZERO, status);
     let solution = match outcome {
         Ok(solution) => solution,
@@ -250,10 +255,19 @@ fn accept(outcome: &Outcome, pooled: f64, config: &TriangulationConfig) -> (DVec
     let length = solution.step.length();
     let direction = solution.step.normalize_or_zero();
     let own_sigma = direction.dot(covariance * direction).max(0.0).sqrt();
-    if !(length - 3.0 * own_sigma <= config.max_step_m) {
+    if !(length - 3.0 * own_sigma <= max_step) {
         return failed(EstimateStatus::Step);
     }
     (solution.step, covariance, EstimateStatus::Ok)
+}
+
+/// Median distance (m) of an even subset of `means` (m) from the cameras.
+fn typical_distance(means: &[DVec3], cameras: &[Camera]) -> f64 {
+    let sample = means.iter().step_by(means.len().div_ceil(SCALE_SAMPLES).max(1));
+    let mut distances: Vec<f64> =
+        sample.flat_map(|mean| cameras.iter().map(|camera| camera.center().distance(*mean))).collect();
+    let middle = distances.len() / 2;
+    if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 fn check_shapes(

@@ -155,6 +155,32 @@ fn exact_observations_far_from_the_origin_stay_exact() {
 }
 
 #[test]
+fn units_do_not_matter() {
+    let metres = problem(Kind { rig: Rig::Trackside, ..BASE }, 9);
+    let here = run(&metres, TriangulationConfig::default());
+    for unit in [1e-4, 1e4] {
+        let scaled = |places: &[DVec3]| places.iter().map(|&place| place * unit).collect::<Vec<_>>();
+        let moved = |camera: &Camera| {
+            let mut pose = camera.camera_from_world();
+            pose.w_axis = (pose.w_axis.truncate() * unit).extend(1.0);
+            Camera::new(camera.intrinsics(), pose, camera.size()).unwrap()
+        };
+        let there = Problem {
+            previous: scaled(&metres.previous),
+            truth: scaled(&metres.truth),
+            cameras: metres.cameras.iter().map(moved).collect(),
+            observations: metres.observations.clone(),
+            noise: metres.noise,
+        };
+        let there = run(&there, TriangulationConfig::default());
+        assert_eq!(here.status, there.status, "unit {unit}");
+        for (a, b) in here.means.iter().zip(&there.means) {
+            assert!(a.distance(*b / unit) < 1e-5, "unit {unit}: {a} {b}");
+        }
+    }
+}
+
+#[test]
 fn failures_are_statuses() {
     let mut problem = problem(Kind { views: 4, ..BASE }, 3);
     problem.observations.weights[GAUSSIANS..].iter_mut().step_by(GAUSSIANS).for_each(|w| *w = 0.0);

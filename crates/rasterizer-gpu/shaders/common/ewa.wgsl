@@ -3,7 +3,7 @@
 
 // Lower bound of the antialiasing compensation.
 const MIN_COMPENSATION: f32 = 0.005;
-// Gaussians nearer to the camera plane than this (m) are not rendered.
+// Gaussians nearer to the camera plane than this share of their largest standard deviation are not rendered.
 const NEAR: f32 = 0.01;
 // exp() of more is beyond every opacity and size; infinite parameters end here.
 const MAX_EXPONENT: f32 = 80.0;
@@ -72,7 +72,9 @@ fn project_shape(g: Geometry) -> Ewa {
     let rotation = camera_rotation();
     e.offset = (g.mean - view.center_high) - view.center_low;
     e.point = rotation * e.offset;
-    if !(is_number(g) && e.point.z >= NEAR && all_finite(e.point)) {
+    e.scales = exp(clamp(g.log_scale, vec3f(-MAX_EXPONENT), vec3f(MAX_EXPONENT)));
+    let nearest = NEAR * max(e.scales.x, max(e.scales.y, e.scales.z));
+    if !(is_number(g) && e.point.z >= nearest && all_finite(e.point)) {
         return e;
     }
     let raw = e.point.xy / e.point.z;
@@ -82,7 +84,6 @@ fn project_shape(g: Geometry) -> Ewa {
     let world_from_camera = transpose(rotation);
     e.to_pixels[0] = world_from_camera * vec3f(f.x, 0.0, -f.x * e.slope.x);
     e.to_pixels[1] = world_from_camera * vec3f(0.0, f.y, -f.y * e.slope.y);
-    e.scales = exp(clamp(g.log_scale, vec3f(-MAX_EXPONENT), vec3f(MAX_EXPONENT)));
     let turn = rotation_of(unit_quaternion(g.quat));
     e.shape = mat3x3f(turn[0] * e.scales.x, turn[1] * e.scales.y, turn[2] * e.scales.z);
     e.axes[0] = e.to_pixels[0] * e.shape;
