@@ -10,6 +10,10 @@ use std::collections::BTreeMap;
 /// Root mean square of the offsets of the training views (log odds) from which cameras differ. Surfaces that reflect differ between views,
 /// too: 0.02 to 0.13 in five rendered captures of one exposure, 0.21 in two filmed ones.
 const DIFFERENT: f64 = 0.16;
+/// Offset from the median (log odds) from which one camera differs though all together do not,
+const STANDS_OUT: f64 = 0.3;
+/// and in units of the cameras' median distance from it.
+const UNUSUAL: f64 = 4.0;
 /// Steps per photograph before which a first frame has no surfaces to compare colours on: after 30 steps over 44 views cameras that agree
 /// seem to differ by 0.14, after 100 by 0.06 as after 3000.
 const LEAST_STEPS: usize = 2;
@@ -52,7 +56,27 @@ impl Exposures {
             all.split_mut(at.split).insert(capture.views(at.split)[at.view].clone(), offsets);
         }
         tracing::debug!("exposures: {:.3} (log odds, root mean square), {:?}", all.deviation(), all.train);
-        if all.deviation() > DIFFERENT { all } else { Self::default() }
+        if all.deviation() > DIFFERENT { all } else { all.standing_out() }
+    }
+
+    /// With the offsets of the cameras that stand out from all others, about the median; neutral where none does.
+    fn standing_out(&self) -> Self {
+        let column = |c: usize| self.train.values().map(|offsets| offsets[c]).collect::<Vec<f64>>();
+        let middle = [0, 1, 2].map(|c| median(column(c)));
+        let away = |offsets: &[f64; 3]| {
+            let from_middle: [f64; 3] = std::array::from_fn(|c| offsets[c] - middle[c]);
+            (from_middle, from_middle.iter().fold(0.0, |most: f64, offset| most.max(offset.abs())))
+        };
+        let usual = median(self.train.values().map(|offsets| away(offsets).1).collect());
+        let stands_out = |offsets: &[f64; 3]| away(offsets).1 > STANDS_OUT.max(UNUSUAL * usual);
+        if !self.train.values().any(stands_out) {
+            return Self::default();
+        }
+        let kept = |all: &BTreeMap<String, [f64; 3]>| {
+            let offsets = |offsets: &[f64; 3]| if stands_out(offsets) { away(offsets).0 } else { [0.0; 3] };
+            all.iter().map(|(name, of_camera)| (name.clone(), offsets(of_camera))).collect()
+        };
+        Self { train: kept(&self.train), init: kept(&self.init) }
     }
 
     fn split_mut(&mut self, split: Split) -> &mut BTreeMap<String, [f64; 3]> {
@@ -163,6 +187,12 @@ fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
     (product / square).clamp(0.0, 1.0)
 }
 
+/// 0 for none.
+fn median(mut values: Vec<f64>) -> f64 {
+    let half = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -234,5 +264,22 @@ mod tests {
             exposures.init.insert("other".to_owned(), [0.0, wrong, 0.0]);
             assert!(!exposures.are_sound(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn one_wrong_camera_among_many_is_seen_and_the_others_stay_as_they_are() {
+        let named = |offsets: &dyn Fn(usize) -> f64| Exposures {
+            train: (0..40).map(|view| (format!("{view:02}"), [offsets(view); 3])).collect(),
+            init: BTreeMap::new(),
+        };
+        let usual = |view: usize| 0.08 * (view as f64).sin();
+        let wrong = named(&|view| if view == 7 { 0.6 } else { usual(view) });
+        assert!(wrong.deviation() < DIFFERENT, "all together do not differ: {}", wrong.deviation());
+        let found = wrong.standing_out();
+        assert!((found.train["07"][0] - 0.6).abs() < 0.05, "{:?}", found.train["07"]);
+        assert_eq!(found.train.values().filter(|offsets| **offsets != [0.0; 3]).count(), 1);
+        assert!(named(&usual).standing_out().are_neutral());
+        let wide = named(&|view| 0.25 * (view as f64).sin());
+        assert!(wide.standing_out().are_neutral(), "reflections");
     }
 }

@@ -4,11 +4,27 @@ use crate::constants::RUNNING_RATE;
 use ffgs_core::TrainingView;
 use glam::DVec3;
 
-/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS.
+/// A camera farther out than this many times what is usual does not count for the extent.
+const FAR_OUT: f64 = 3.0;
+
+/// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS; without cameras that stand far out from
+/// the others, which would raise all rates. 0 for fewer than two.
 pub fn camera_extent(views: &[TrainingView]) -> f32 {
-    let centers = || views.iter().map(|v| v.camera.center());
-    let mean = centers().sum::<DVec3>() / views.len().max(1) as f64;
-    1.1 * centers().map(|c| (c - mean).length()).fold(0.0, f64::max) as f32
+    let centers: Vec<DVec3> = views.iter().map(|v| v.camera.center()).collect();
+    let middle = DVec3::from_array(std::array::from_fn(|axis| median(centers.iter().map(|c| c[axis]))));
+    let usual = median(centers.iter().map(|c| c.distance(middle)));
+    // Half of the cameras at one place say nothing of the others.
+    let counts = |c: &&DVec3| !(usual > 0.0) || c.distance(middle) <= FAR_OUT * usual;
+    let near: Vec<DVec3> = centers.iter().filter(counts).copied().collect();
+    let mean = near.iter().sum::<DVec3>() / near.len().max(1) as f64;
+    1.1 * near.iter().map(|c| (*c - mean).length()).fold(0.0, f64::max) as f32
+}
+
+/// The upper one of two in the middle; 0 for none.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let half = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
 }
 
 /// What a training loop reports after a step.
@@ -41,5 +57,38 @@ impl Running {
     pub(crate) fn progress(&self, iteration: usize, iterations: usize, gaussians: usize) -> Progress {
         let (loss, mse) = self.loss.unwrap_or((f64::NAN, f64::NAN));
         Progress { iteration, iterations, loss, psnr: -10.0 * mse.max(1e-12).log10(), gaussians }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use glam::DMat4;
+
+    fn views(places: &[DVec3]) -> Vec<TrainingView> {
+        let size = ImageSize { width: 4, height: 3 };
+        let intrinsics = Intrinsics { fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 };
+        let view = |place: &DVec3| TrainingView {
+            camera: Camera::new(intrinsics, DMat4::from_translation(-*place), size).unwrap(),
+            image: ImageRgb8::new(size, vec![0; 36]).unwrap(),
+            mask: Mask::filled(size, false),
+        };
+        places.iter().map(view).collect()
+    }
+
+    #[test]
+    fn one_camera_far_away_does_not_raise_the_extent() {
+        let mut ring: Vec<DVec3> =
+            (0..12).map(|i| 5.0 * DVec3::new(f64::from(i).cos(), f64::from(i).sin(), 0.0)).collect();
+        let alone = camera_extent(&views(&ring));
+        assert!((4.5..6.5).contains(&alone), "{alone}");
+        ring.push(DVec3::new(400.0, 0.0, 30.0));
+        assert!((camera_extent(&views(&ring)) / alone - 1.0).abs() < 0.01);
+        assert_eq!(camera_extent(&[]), 0.0);
+        let pair = camera_extent(&views(&[DVec3::ZERO, DVec3::X]));
+        assert!((pair - 0.55).abs() < 1e-6, "{pair}");
+        let most_at_one_place = [DVec3::ZERO, DVec3::ZERO, DVec3::ZERO, DVec3::X];
+        assert!(camera_extent(&views(&most_at_one_place)) > 0.5);
     }
 }
