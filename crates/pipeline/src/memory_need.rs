@@ -51,7 +51,7 @@ impl Need {
         let [training, initial] = size.pixels;
         let background = &config.background;
         let contributors = if size.streams { background.contributor_bytes(training) } else { 0 };
-        // Too many pixels to be solved: steps are taken.
+        // Steps take none.
         let solve = if contributors > 0 {
             contributors + SOLVED_PIXEL * training + SOLVED * size.gaussians
         } else {
@@ -142,7 +142,7 @@ mod tests {
         let all = need(&config, PAPER);
         let mut less = config;
         less.background.solve_memory_mib = 1000;
-        assert!(need(&less, PAPER) < all, "too little for the solve: steps are taken");
+        assert!(need(&less, PAPER) < all, "fewer pixels are solved for");
         less = config;
         less.background.static_method = StaticMethod::Steps;
         assert!(need(&less, PAPER) < all);

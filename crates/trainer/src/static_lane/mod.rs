@@ -26,19 +26,37 @@ pub struct StaticTargets<'a> {
 const MOST_CONTRIBUTORS: usize = 16;
 /// With fewer the model is too coarse to be solved.
 const FEWEST_CONTRIBUTORS: usize = 4;
+/// Where not all pixels fit, those of a lattice are traced, this many pixels apart at most.
+const LARGEST_STRIDE: usize = 8;
+
+/// What is traced of each view.
+#[derive(Clone, Copy, Debug)]
+struct Tracing {
+    /// Contributors per pixel.
+    contributors: usize,
+    /// Pixels between those of the lattice; 1 = all.
+    stride: usize,
+    /// Degree of the colours.
+    degree: usize,
+}
 
 impl BackgroundConfig {
-    /// Contributors per pixel that the memory allows, when all views have so many pixels; 0 = too few to be solved.
-    fn contributors(&self, pixels: usize) -> usize {
-        let bytes = pixels.max(1) * size_of::<trace::Contribution>();
-        let fit = (self.solve_memory_mib << 20).checked_div(bytes).unwrap_or(0).min(MOST_CONTRIBUTORS);
-        if fit < FEWEST_CONTRIBUTORS { 0 } else { fit }
+    /// What the memory allows to be traced, when all views have so many pixels; `None` where that is too little to be solved.
+    fn tracing(&self, pixels: usize) -> Option<Tracing> {
+        let contributors = |stride: usize| {
+            let bytes = pixels.div_ceil(stride * stride).max(1) * size_of::<trace::Contribution>();
+            ((self.solve_memory_mib << 20) / bytes).min(MOST_CONTRIBUTORS)
+        };
+        let enough = |&stride: &usize| contributors(stride) >= FEWEST_CONTRIBUTORS;
+        let stride = (1..=LARGEST_STRIDE).find(enough)?;
+        Some(Tracing { contributors: contributors(stride), stride, degree: self.solve_degree })
     }
 
     /// Most bytes that the contributors of so many pixels take; 0 where `steps` are taken.
     pub fn contributor_bytes(&self, pixels: usize) -> usize {
-        let solves = self.static_method == StaticMethod::Solve;
-        if solves { self.contributors(pixels) * pixels * size_of::<trace::Contribution>() } else { 0 }
+        let tracing = self.tracing(pixels).filter(|_| self.static_method == StaticMethod::Solve);
+        let traced = |t: Tracing| t.contributors * pixels.div_ceil(t.stride * t.stride);
+        tracing.map_or(0, traced) * size_of::<trace::Contribution>()
     }
 }
 
@@ -68,10 +86,13 @@ impl StaticLane {
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
-        let contributors = config.contributors(views.iter().map(|v| v.camera.size().pixels()).sum());
-        if config.static_method == StaticMethod::Solve && contributors > 0 {
-            self.trace(contributors, config.solve_degree, views, layer);
-            solve::solve(config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
+        let tracing = config.tracing(views.iter().map(|v| v.camera.size().pixels()).sum());
+        if let Some(tracing) = tracing.filter(|_| config.static_method == StaticMethod::Solve) {
+            self.trace(tracing, views, layer);
+            // A pixel of the lattice speaks for those that are left out.
+            let solve_noise = config.solve_noise / tracing.stride as f32;
+            let config = BackgroundConfig { solve_noise, ..*config };
+            solve::solve(&config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
             return Ok(());
         }
         steps::train(backend, config, targets, layer, seed, report)
@@ -84,13 +105,13 @@ impl StaticLane {
     }
 
     /// Traces the views whose camera is new.
-    fn trace(&mut self, count: usize, degree: usize, views: &[TrainingView], layer: &Gaussians) {
+    fn trace(&mut self, tracing: Tracing, views: &[TrainingView], layer: &Gaussians) {
         self.traces.truncate(views.len());
         for (v, view) in views.iter().enumerate() {
             if self.traces.get(v).is_some_and(|t| t.camera == view.camera) {
                 continue;
             }
-            let trace = ViewTrace::new(&view.camera, layer, count, degree);
+            let trace = ViewTrace::new(&view.camera, layer, tracing);
             if v < self.traces.len() { self.traces[v] = trace } else { self.traces.push(trace) }
         }
     }

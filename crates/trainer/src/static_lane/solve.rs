@@ -115,11 +115,14 @@ fn compare(
     out.back.reserve_exact(traces.iter().map(|t| t.seen.len()).sum());
     let together = rayon::current_num_threads();
     for (views, traces) in views.chunks(together).zip(traces.chunks(together)) {
-        let render = |view: &TrainingView| {
+        let render = |(view, trace): (&TrainingView, &ViewTrace)| {
             let background = behind.render(sky, &view.camera);
-            residual(view, layer, background, config.mask_dilation, &mut tape)
+            let counts = outside(view, config.mask_dilation);
+            let on_lattice = trace.on_lattice();
+            let counted = counts.data().iter().enumerate().map(|(p, &counts)| counts != 0 && on_lattice(p));
+            residual(view, layer, background, counted.collect(), &mut tape)
         };
-        let residuals: Vec<Residual> = views.iter().map(render).collect();
+        let residuals: Vec<Residual> = views.iter().zip(traces).map(render).collect();
         let sent =
             |(residual, trace): (&Residual, &ViewTrace)| (residual.sent_back(trace), residual.squares());
         let parts: Vec<(Vec<Vec3>, f64)> = residuals.par_iter().zip(traces).map(sent).collect();
@@ -136,15 +139,13 @@ fn residual(
     view: &TrainingView,
     layer: &Gaussians,
     behind: &PlanarImage,
-    dilation: usize,
+    counted: Vec<bool>,
     tape: &mut RenderTape,
 ) -> Residual {
     let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
     CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
         .render(layer, &frame, tape);
-    let (photo, region) = (&view.image, outside(view, dilation));
-    let difference = |p: usize| Vec3::from(photo.pixel(p)) - Vec3::from(tape.image().pixel(p));
-    let counted: Vec<bool> = region.data().iter().map(|&inside| inside != 0).collect();
+    let difference = |p: usize| Vec3::from(view.image.pixel(p)) - Vec3::from(tape.image().pixel(p));
     let value = |(p, &counts): (usize, &bool)| if counts { difference(p) } else { Vec3::ZERO };
     Residual { values: counted.iter().enumerate().map(value).collect(), counted }
 }
@@ -369,12 +370,14 @@ fn clamp_slopes(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::static_lane::Tracing;
     use crate::{CpuBackend, StaticLane, StaticTargets, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
     use std::sync::Arc;
 
     fn residual_of(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> Vec<Vec3> {
-        residual(view, layer, SkyBehind::new().render(sky, &view.camera), 0, &mut RenderTape::default())
+        let counted = outside(view, 0).data().iter().map(|&counts| counts != 0).collect();
+        residual(view, layer, SkyBehind::new().render(sky, &view.camera), counted, &mut RenderTape::default())
             .values
     }
 
@@ -441,6 +444,46 @@ mod tests {
         );
     }
 
+    #[test]
+    fn a_lattice_of_pixels_finds_nearly_the_same_light() {
+        let (layer, sky, views) = wall();
+        let mut dimmed = layer.clone();
+        dimmed.sh.iter_mut().for_each(|c| *c = c.map(|v| v * 0.6 - 0.1));
+        let error_with = |stride: usize| {
+            let tracing = Tracing { contributors: 16, stride, degree: 1 };
+            let traces: Vec<ViewTrace> =
+                views.iter().map(|v| ViewTrace::new(&v.camera, &dimmed, tracing)).collect();
+            let config = BackgroundConfig {
+                solve_iterations: 40,
+                solve_noise: 0.005 / stride as f32,
+                ..BackgroundConfig::default()
+            };
+            let mut found = dimmed.clone();
+            solve(&config, &traces, &views, &sky, &mut found, &mut Vec::new(), &mut |_| {});
+            squared_error(&views, &found, &sky)
+        };
+        let before = squared_error(&views, &dimmed, &sky);
+        let [every, lattice] = [1, 2].map(error_with);
+        assert!(every < 5e-3 * before && lattice < 0.1 * before, "{before} to {every}, {lattice}");
+    }
+
+    #[test]
+    fn views_of_any_size_are_solved_within_the_memory() {
+        let config = BackgroundConfig::default();
+        let hd = 1920 * 1080;
+        let traced =
+            |views: usize, pixels: usize| config.tracing(views * pixels).map(|t| (t.stride, t.contributors));
+        assert_eq!(traced(24, 320 * 180), Some((1, 16)));
+        assert_eq!(traced(60, hd), Some((1, 4)));
+        assert_eq!(traced(70, hd), Some((2, 14)));
+        assert_eq!(traced(20, 4 * hd), Some((2, 12)));
+        for pixels in [60 * hd, 70 * hd, 60 * 4 * hd, 300 * 4 * hd] {
+            let bytes = config.contributor_bytes(pixels);
+            assert!((1 << 30..=4 << 30).contains(&bytes), "{pixels}: {bytes}");
+        }
+        assert!(BackgroundConfig { solve_memory_mib: 0, ..config }.tracing(hd).is_none());
+    }
+
     /// Frames of the true light, then one that a single view sees, with a shadow: a Gaussian that was seen more often changes less.
     #[test]
     fn what_many_frames_showed_is_not_given_up_for_one() {
@@ -491,7 +534,9 @@ mod tests {
     fn the_diagonal_is_that_of_the_normal_equations() {
         let (layer, _, views) = wall();
         let config = BackgroundConfig::default();
-        let traces: Vec<ViewTrace> = views.iter().map(|v| ViewTrace::new(&v.camera, &layer, 16, 1)).collect();
+        let every_pixel = Tracing { contributors: 16, stride: 1, degree: 1 };
+        let traces: Vec<ViewTrace> =
+            views.iter().map(|v| ViewTrace::new(&v.camera, &layer, every_pixel)).collect();
         // Nothing is off and every pixel counts: the system must not depend on the errors.
         let exact: Vec<Vec<bool>> = views.iter().map(|v| vec![true; v.camera.size().pixels()]).collect();
         let mut known = Vec::new();

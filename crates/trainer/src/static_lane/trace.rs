@@ -1,3 +1,4 @@
+use super::Tracing;
 use ffgs_core::{Camera, Gaussians};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
 use glam::Vec3;
@@ -14,27 +15,32 @@ pub(super) struct ViewTrace {
     /// (seen) unit vectors from the camera to each.
     directions: Vec<Vec3>,
     degree: usize,
+    stride: usize,
     /// (pixels + 1) where each pixel's contributions start.
     starts: Vec<u32>,
     contributions: Vec<Contribution>,
 }
 
 impl ViewTrace {
-    /// The `count` heaviest contributors of every pixel, with a basis of the given degree.
-    pub(super) fn new(camera: &Camera, layer: &Gaussians, count: usize, degree: usize) -> Self {
+    /// The heaviest contributors of every pixel of the lattice, with a basis of the given degree.
+    pub(super) fn new(camera: &Camera, layer: &Gaussians, tracing: Tracing) -> Self {
+        let Tracing { contributors: count, stride, degree } = tracing;
+        let on_lattice = lattice(camera.size().width, stride);
         let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
         let rasterizer =
             CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
         let top = rasterizer.top_contributors(layer, &view, count, &mut RenderTape::default());
         let mut place = vec![u32::MAX; layer.len()];
-        top.indices.iter().filter(|i| **i >= 0).for_each(|&i| place[i as usize] = 0);
+        let traced = || top.indices.chunks(count.max(1)).enumerate().filter(|(p, _)| on_lattice(*p));
+        let present = || traced().flat_map(|(_, indices)| indices).filter(|i| **i >= 0);
+        present().for_each(|&i| place[i as usize] = 0);
         let seen: Vec<u32> = (0..layer.len() as u32).filter(|&i| place[i as usize] == 0).collect();
         seen.iter().enumerate().for_each(|(at, &i)| place[i as usize] = at as u32);
         let mut starts = vec![0];
-        let kept = top.indices.iter().filter(|i| **i >= 0).count();
-        let mut contributions = Vec::with_capacity(kept);
-        for (indices, weights) in top.indices.chunks(count.max(1)).zip(top.weights.chunks(count.max(1))) {
-            let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0);
+        let mut contributions = Vec::with_capacity(present().count());
+        let pixels = top.indices.chunks(count.max(1)).zip(top.weights.chunks(count.max(1)));
+        for (pixel, (indices, weights)) in pixels.enumerate() {
+            let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0 && on_lattice(pixel));
             contributions.extend(present.map(|(&i, &w)| (place[i as usize], w)));
             starts.push(contributions.len() as u32);
         }
@@ -42,7 +48,7 @@ impl ViewTrace {
         let direction = |&i: &u32| (Vec3::from(layer.means[i as usize]) - center).normalize_or_zero();
         let directions = seen.iter().map(direction).collect();
         let degree = degree.min(layer.sh_degree());
-        Self { camera: *camera, seen, directions, degree, starts, contributions }
+        Self { camera: *camera, seen, directions, degree, stride, starts, contributions }
     }
 
     /// SH basis in the direction of a Gaussian, by its place in `seen`; a quarter of the memory of the bases is what the
@@ -58,8 +64,18 @@ impl ViewTrace {
         &self.contributions[self.starts[pixel] as usize..self.starts[pixel + 1] as usize]
     }
 
+    /// Whether a pixel, by its number, is on the lattice; the others have no contributions.
+    pub(super) fn on_lattice(&self) -> impl Fn(usize) -> bool + use<> {
+        lattice(self.camera.size().width, self.stride)
+    }
+
     /// Number of pixels.
     pub(super) fn pixels(&self) -> usize {
         self.starts.len() - 1
     }
+}
+
+/// Whether a pixel of an image of a width is on the lattice of a stride.
+fn lattice(width: usize, stride: usize) -> impl Fn(usize) -> bool {
+    move |pixel| (pixel % width).is_multiple_of(stride) && (pixel / width).is_multiple_of(stride)
 }
