@@ -60,6 +60,19 @@ impl Mask {
         Self { size: self.size, data }
     }
 
+    /// Grows the foreground by the margin that `pixels` are on an image whose longer side has 320 of them, and by no less: outlines
+    /// err by a share of the image, as those who draw or find them see it as a whole.
+    #[must_use]
+    pub fn widened(&self, pixels: usize) -> Self {
+        self.dilated(self.margin(pixels))
+    }
+
+    /// The radius (px) by which [`widened`](Self::widened) grows.
+    pub fn margin(&self, pixels: usize) -> usize {
+        let share = self.size.width.max(self.size.height) as f64 / MARGIN_WIDTH;
+        (pixels as f64 * share.max(1.0)).round() as usize
+    }
+
     /// Without the parts that no square of `2 radius + 1` pixels fits into (morphological opening).
     #[must_use]
     pub fn opened(&self, radius: usize) -> Self {
@@ -67,6 +80,9 @@ impl Mask {
         inverse(&inverse(self).dilated(radius)).dilated(radius)
     }
 }
+
+/// Longer side (px) of the images on which margins of masks were chosen.
+const MARGIN_WIDTH: f64 = 320.0;
 
 /// Marks every position within `radius` of a set one, in linear time.
 fn spread(n: usize, radius: usize, is_set: impl Fn(usize) -> bool, mut mark: impl FnMut(usize)) {
@@ -98,6 +114,18 @@ mod tests {
             }
         }
         assert_eq!(mask.count(), 4 + 9);
+    }
+
+    #[test]
+    fn a_margin_is_as_wide_a_share_of_every_image() {
+        let dot = |size: ImageSize| {
+            let middle = size.height / 2 * size.width + size.width / 2;
+            let data = (0..size.pixels()).map(|p| u8::from(p == middle)).collect();
+            Mask::new(size, data).unwrap().widened(2).count()
+        };
+        assert_eq!(dot(ImageSize { width: 320, height: 180 }), 5 * 5);
+        assert_eq!(dot(ImageSize { width: 1080, height: 1920 }), 25 * 25);
+        assert_eq!(dot(ImageSize { width: 64, height: 48 }), 5 * 5, "no less on small images");
     }
 
     #[test]

@@ -57,7 +57,7 @@ const LACKS: f64 = 0.5;
 const MIN_HELD: usize = 20;
 
 impl Silhouettes {
-    /// Of masks grown by `dilation` pixels.
+    /// Of masks widened by `dilation` ([`Mask::widened`]).
     ///
     /// # Errors
     /// [`FusionError::Masks`] when the numbers of cameras and masks differ.
@@ -78,8 +78,8 @@ impl Silhouettes {
         Ok(Self {
             all: cameras.to_vec(),
             cameras: used.iter().map(|v| *v.0).collect(),
-            masks: grown(&|_| dilation),
-            wide: grown(&|mask| narrow(mask).max(dilation)),
+            masks: grown(&|mask| mask.margin(dilation)),
+            wide: grown(&|mask| narrow(mask).max(mask.margin(dilation))),
             slack,
         })
     }

@@ -59,7 +59,7 @@ impl MotionConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkingConfig {
-    /// Pixels by which the masks are grown before marking and validation.
+    /// Pixels by which the masks are widened before marking and validation ([`ffgs_core::Mask::widened`]).
     pub dilation: usize,
     /// Views that may disagree, however many see it (Algorithm 1: 2).
     pub slack: u32,

@@ -69,7 +69,7 @@ fn find_seeds(
         .map(|(view, open)| SeedView {
             camera: &view.camera,
             image: &view.image,
-            mask: view.mask.dilated(config.marking.dilation),
+            mask: view.mask.widened(config.marking.dilation),
             unexplained: open,
             depth: depths(&scene.static_layer, view),
         })

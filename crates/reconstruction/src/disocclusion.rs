@@ -18,7 +18,7 @@ const LEAST_OPEN: u32 = 2;
 /// In how many views each Gaussian could be seen, and in how many of them it lies in a mask grown by `dilation` (px).
 fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<Vec<ViewCounts>> {
     let (cameras, masks) = cameras_and_masks(views);
-    let masks: Vec<Mask> = masks.iter().map(|mask| mask.dilated(dilation)).collect();
+    let masks: Vec<Mask> = masks.iter().map(|mask| mask.widened(dilation)).collect();
     Ok(count_views(&layer.positions(), &cameras, &masks)?)
 }
 

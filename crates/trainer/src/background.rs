@@ -35,7 +35,7 @@ pub struct BackgroundConfig {
     pub solve_sh0_drift: f32,
     /// Change of the other SH coefficients likewise.
     pub solve_sh_rest_drift: f32,
-    /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then `steps` are taken.
+    /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then those of a lattice of pixels.
     pub solve_memory_mib: usize,
     /// Steps per frame, one view each; method `steps`.
     pub static_iterations: usize,
@@ -47,7 +47,7 @@ pub struct BackgroundConfig {
     pub sky_iterations: usize,
     /// Rate of the sky's texels.
     pub sky_rate: f32,
-    /// Pixels by which the mask is grown before it is left out.
+    /// Pixels by which the mask is widened before it is left out ([`Mask::widened`]).
     pub mask_dilation: usize,
 }
 
@@ -95,9 +95,9 @@ impl BackgroundConfig {
     }
 }
 
-/// Pixels of a view outside the foreground, grown by `dilation` pixels.
+/// Pixels of a view outside the foreground, widened by `dilation` ([`Mask::widened`]).
 pub(crate) fn outside(view: &TrainingView, dilation: usize) -> Mask {
-    let grown = view.mask.dilated(dilation);
+    let grown = view.mask.widened(dilation);
     let inverse = grown.data().iter().map(|&v| u8::from(v == 0)).collect();
     Mask::new(grown.size(), inverse).unwrap_or_else(|| Mask::filled(grown.size(), true))
 }

@@ -146,9 +146,9 @@ pub fn train_dynamic<B: TrainBackend>(
 }
 
 fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView<'a> {
-    let region = view.mask.dilated(config.loss_dilation);
+    let region = view.mask.widened(config.loss_dilation);
     // A region that reaches beyond the usual tiles takes its own.
-    let tiles = TileMask::covering(&view.mask.dilated(TILE_DILATION.max(config.loss_dilation)));
+    let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION.max(config.loss_dilation)));
     TaskView { view, region: Some(region), tiles: Some(tiles) }
 }
 

@@ -169,7 +169,7 @@ pub(crate) fn a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss<B: T
     world.train(backend, &config, &mut moved);
 
     let view = &world.views[0];
-    let region = view.mask.dilated(config.loss_dilation);
+    let region = view.mask.widened(config.loss_dilation);
     let (mut loss, mut gradient) = (PhotometricLoss::new(), PlanarImage::zeros(SIZE));
     let mut value = |gaussians: &Gaussians| {
         let image = render(&joint(&world.fixed, gaussians), &world.sky, &view.camera);
