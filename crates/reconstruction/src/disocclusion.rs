@@ -15,7 +15,7 @@ const OPEN_ONE_IN: u32 = 2;
 /// Fewest open views that fix a place.
 const LEAST_OPEN: u32 = 2;
 
-/// In how many views each Gaussian could be seen, and in how many of them it lies in a mask grown by `dilation` (px).
+/// In how many views each Gaussian could be seen, and in how many of them it lies in a mask widened by `dilation`.
 fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<Vec<ViewCounts>> {
     let (cameras, masks) = cameras_and_masks(views);
     let masks: Vec<Mask> = masks.iter().map(|mask| mask.widened(dilation)).collect();

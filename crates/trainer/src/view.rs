@@ -4,8 +4,8 @@ use crate::constants::RUNNING_RATE;
 use ffgs_core::TrainingView;
 use glam::DVec3;
 
-/// A camera farther out than this many times what is usual does not count for the extent.
-const FAR_OUT: f64 = 3.0;
+/// A camera farther out than this many times the median does not count for the extent: rigs of near and far cameras reach 3.
+const FAR_OUT: f64 = 6.0;
 
 /// Radius of the camera positions around their mean (m), a tenth larger as in 3DGS; without cameras that stand far out from
 /// the others, which would raise all rates. 0 for fewer than two.
