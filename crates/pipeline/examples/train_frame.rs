@@ -18,7 +18,7 @@ fn main() -> Result<()> {
         _ => bail!("CAPTURE OUT.ply [ITERATIONS]"),
     };
     let capture = open_capture(Path::new(capture))?;
-    let views = frame::all_views(&*capture, &frame::select_views(&*capture, None)?, 0)?;
+    let views = frame::first_views(&*capture, &frame::select_views(&*capture, None)?, 0)?.views;
     let points = capture.points()?.context("the capture has no initial points")?;
     let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);

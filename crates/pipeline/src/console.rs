@@ -2,6 +2,7 @@
 
 use crate::record::{FrameRecord, Metrics, ViewMetrics, mean};
 use crate::terminal;
+use ffgs_reconstruction::{Monitor, Report};
 use ffgs_trainer::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
@@ -9,15 +10,15 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The bars of a run: one for the frames, one per lane while it works. Where the error stream is no terminal, lines.
+/// The bars of a run: one for the frames, one per training while it runs. Where the error stream is no terminal, lines.
 pub(crate) struct Console {
     bars: MultiProgress,
     frames: ProgressBar,
     lines: Option<Arc<Lines>>,
 }
 
-/// One lane's bar; it disappears with the lane.
-pub(crate) struct Lane {
+/// The bar of one training; it disappears with the training.
+struct TrainingBar {
     name: &'static str,
     bar: ProgressBar,
     lines: Option<Arc<Lines>>,
@@ -57,21 +58,13 @@ impl Console {
     }
 
     /// A frame begins.
-    pub(crate) fn begin_frame(&mut self, frame: usize) {
+    pub(crate) fn begin_frame(&self, frame: usize) {
         self.frames.set_message(format!("frame {frame}"));
         self.frames.tick();
     }
 
-    /// A bar for one lane.
-    pub(crate) fn lane(&self, name: &'static str, iterations: usize) -> Lane {
-        let bar = self.bars.add(ProgressBar::new(iterations as u64));
-        bar.set_style(style("  {prefix:12} {bar:24} {pos}/{len}  {msg}  {eta} left"));
-        bar.set_prefix(name);
-        Lane { name, bar, lines: self.lines.clone() }
-    }
-
     /// A frame is written.
-    pub(crate) fn end_frame(&mut self, record: &FrameRecord) {
+    pub(crate) fn end_frame(&self, record: &FrameRecord) {
         self.estimate_time();
         let quality = |name: &str, of: fn(&ViewMetrics) -> Option<f64>| {
             let value = mean(record.views.iter().filter_map(of));
@@ -128,9 +121,19 @@ impl Console {
     }
 }
 
-impl Lane {
-    /// Shows a step; the terminal is touched every 10 steps only, oftener in short lanes.
-    pub(crate) fn show(&self, p: Progress) {
+impl Monitor for Console {
+    fn begin(&self, name: &'static str, iterations: usize) -> Report<'_> {
+        let bar = self.bars.add(ProgressBar::new(iterations as u64));
+        bar.set_style(style("  {prefix:12} {bar:24} {pos}/{len}  {msg}  {eta} left"));
+        bar.set_prefix(name);
+        let training = TrainingBar { name, bar, lines: self.lines.clone() };
+        Box::new(move |progress| training.show(progress))
+    }
+}
+
+impl TrainingBar {
+    /// Shows a step; the terminal is touched every 10 steps only, oftener in short trainings.
+    fn show(&self, p: Progress) {
         let what = || format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", p.loss, p.psnr, p.gaussians);
         if let Some(lines) = &self.lines {
             lines.show(|| format!("{} {}/{}  {}", self.name, p.iteration, p.iterations, what()));
@@ -142,7 +145,7 @@ impl Lane {
     }
 }
 
-impl Drop for Lane {
+impl Drop for TrainingBar {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
     }

@@ -4,6 +4,7 @@ use crate::provenance::{Checksum, load_with_checksum};
 use anyhow::Result;
 use ffgs_core::TrainingView;
 use ffgs_method::{Capture, Split, ViewAt};
+use ffgs_reconstruction::FirstViews;
 use rayon::prelude::*;
 
 /// Training views by index into the capture's training split: all of them, or those named.
@@ -64,11 +65,21 @@ fn all_of(capture: &dyn Capture, split: Split, frame: usize) -> Vec<ViewAt> {
     (0..capture.views(split).len()).map(|view| ViewAt { split, view, frame }).collect()
 }
 
-/// The training views `views` (by index) of a frame, and after them those that only frame 0 has.
+/// Photographs of a first frame: those of the training views `views` (by index), and those that only frame 0 has.
 ///
 /// # Errors
 /// When one of them cannot be read.
-pub fn all_views(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<TrainingView>> {
-    load_views(capture, &[training_views(views, frame), init_views(capture, frame)].concat())
-        .map(|(views, _)| views)
+pub fn first_views(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<FirstViews> {
+    first_views_and_checksums(capture, views, frame).map(|(views, _)| views)
+}
+
+/// As [`first_views`], and the checksums of what they were read from.
+pub(crate) fn first_views_and_checksums(
+    capture: &dyn Capture,
+    views: &[usize],
+    frame: usize,
+) -> Result<(FirstViews, Vec<Checksum>)> {
+    let shots = [training_views(views, frame), init_views(capture, frame)].concat();
+    let (views, sums) = load_views(capture, &shots)?;
+    Ok((FirstViews { shots, views }, sums))
 }

@@ -1,4 +1,5 @@
-//! `ffgs run`: the main job. Read this first: it composes every stage of the method.
+//! `ffgs run`: the frames of a capture, one after another, from files to files. What happens to a frame in memory is in
+//! `ffgs_reconstruction`.
 
 use crate::check::check_capture;
 use crate::choice::MethodChoice;
@@ -7,14 +8,14 @@ use crate::console::Console;
 use crate::device;
 use crate::exposure_files::{exposures_fact, load_equal, load_training, read_exposures, write_exposures};
 use crate::folder::RunFolder;
-use crate::frame::{init_views, load_views, select_views, test_views, training_views};
+use crate::frame::{first_views_and_checksums, init_views, select_views, test_views, training_views};
 use crate::json::{read_json, write_json};
 use crate::lock::FolderLock;
 use crate::manifest::Manifest;
 use crate::memory;
 use crate::memory_need;
 use crate::method::Parts;
-use crate::provenance::{checksums, frame_digest};
+use crate::provenance::{Checksum, checksums, frame_digest};
 use crate::publish::publish;
 use crate::record::{FrameRecord, Metrics};
 use crate::registry::open_capture;
@@ -24,19 +25,12 @@ use crate::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnails, write_
 use crate::state;
 use crate::turntable::write_turntable;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Dynamic, ImageRgb8, Scene, StageLog, TrainingView, write_atomically};
+use ffgs_core::{Dynamic, ImageRgb8, Scene, TrainingView, write_atomically};
 use ffgs_dataset::ImageCheck;
-use ffgs_method::{Capture, Finetuning, MotionMethod, Step, TrackSource, ViewAt};
+use ffgs_method::{Capture, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
-use ffgs_reconstruction::exposures::can_be_told;
-use ffgs_reconstruction::few_views::trial;
-use ffgs_reconstruction::initial_points::start;
-use ffgs_reconstruction::knowledge::Predicted;
-use ffgs_reconstruction::marking::{mark_again, split};
-use ffgs_reconstruction::sky::sky_or_none;
-use ffgs_reconstruction::{Devices, Exposures, birth, disocclusion};
+use ffgs_reconstruction::{Devices, Earlier, Exposures, Reconstructor, State};
 use ffgs_report::{FramePictures, motion_picture, uncertainty_picture};
-use ffgs_trainer::{FirstFrame, StaticLane, camera_extent};
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -51,10 +45,10 @@ pub fn run(request: &RunRequest) -> Result<PathBuf> {
 }
 
 fn run_frames(job: &Job) -> Result<PathBuf> {
-    let mut console = Console::new(job.request.quiet, job.frames.clone());
-    let mut method = job.method()?;
-    let (mut metrics, mut last) = job.finished_frames(&mut *method)?;
-    let result = job.frames_after(&mut metrics, &mut last, &mut *method, &mut console);
+    let console = Console::new(job.request.quiet, job.frames.clone());
+    let mut reconstructor = job.reconstructor(&console)?;
+    let (mut metrics, mut last) = job.finished_frames(&mut reconstructor)?;
+    let result = job.frames_after(&mut metrics, &mut last, &mut reconstructor, &console);
     if let (Ok(()), Some(last), Some(record)) = (&result, &last, metrics.frames.last()) {
         write_turntable(&job.folder, &*job.capture, record.frame, &last.scene, job.devices())?;
     }
@@ -67,22 +61,9 @@ fn run_frames(job: &Job) -> Result<PathBuf> {
     Ok(job.folder.0.join("report.html"))
 }
 
-/// What one frame leaves for the next.
-struct Last {
-    scene: Scene,
-    /// Training views of that frame, in one exposure.
-    views: Vec<TrainingView>,
-    exposures: Exposures,
-}
-
 /// Least time between two publications, in units of the duration of the first of them. Publishing takes longer the more
 /// frames there are; this bounds it to a twentieth of the run.
 const PUBLISHING_INTERVAL: u32 = 20;
-
-/// The training of few cameras' first frame without one of them, on the console and in the report.
-const TRIAL: &str = "first frame without its middle view";
-/// The training of frame 0 once the exposures of its cameras are removed.
-const EQUAL: &str = "first frame, exposures removed";
 
 struct Job<'a> {
     request: &'a RunRequest,
@@ -151,14 +132,18 @@ impl<'a> Job<'a> {
         Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpus, _lock: lock })
     }
 
-    fn method(&self) -> Result<Box<dyn MotionMethod + '_>> {
+    fn reconstructor<'s>(&'s self, console: &'s Console) -> Result<Reconstructor<'s>> {
         let parts = Parts { config: self.config(), tracks: &self.tracks, gpu: self.gpus.first() };
-        self.manifest.method.build(&parts)
-    }
-
-    /// For errors of a method: which one it is.
-    fn named(&self, what: &str) -> String {
-        format!("method {}: {what}", self.manifest.method)
+        Ok(Reconstructor {
+            config: self.config().reconstruction(),
+            devices: self.devices(),
+            capture: &*self.capture,
+            views: &self.views,
+            tracks: &self.tracks,
+            method: self.manifest.method.build(&parts)?,
+            method_name: self.manifest.method.to_string(),
+            monitor: console,
+        })
     }
 
     /// The numbers of a finished frame, whose inputs must still be those that it was made from.
@@ -203,7 +188,7 @@ impl<'a> Job<'a> {
     }
 
     /// On resume, the frames that are finished: their numbers, and what the last of them leaves.
-    fn finished_frames(&self, method: &mut dyn MotionMethod) -> Result<(Metrics, Option<Last>)> {
+    fn finished_frames(&self, reconstructor: &mut Reconstructor) -> Result<(Metrics, Option<State>)> {
         let finished = |frame: &usize| self.request.resume && self.folder.is_finished(*frame);
         let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
         // What an interrupted run had begun to remove.
@@ -211,13 +196,14 @@ impl<'a> Job<'a> {
         frames.iter().filter(half_thinned).try_for_each(|&frame| self.folder.thin(frame))?;
         let records = frames.iter().map(|&frame| self.finished_record(frame));
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
-        let load = |&frame: &usize| -> Result<Last> {
+        let load = |&frame: &usize| -> Result<State> {
             let scene = state::load(&self.folder.state(frame), frame)?;
             let saved = self.folder.read_method_state(frame)?;
-            method.restore(&saved, &scene).with_context(|| self.named("state"))?;
+            let restored = reconstructor.method.restore(&saved, &scene);
+            restored.with_context(|| reconstructor.named("state"))?;
             let exposures = read_exposures(&self.folder)?;
             let views = load_training(&*self.capture, &exposures, &self.views, frame)?;
-            Ok(Last { scene, views, exposures })
+            Ok(State::new(scene, views, exposures))
         };
         Ok((metrics, frames.last().map(load).transpose()?))
     }
@@ -226,17 +212,16 @@ impl<'a> Job<'a> {
     fn frames_after(
         &self,
         metrics: &mut Metrics,
-        last: &mut Option<Last>,
-        method: &mut dyn MotionMethod,
-        console: &mut Console,
+        last: &mut Option<State>,
+        reconstructor: &mut Reconstructor,
+        console: &Console,
     ) -> Result<()> {
-        let mut static_lane = StaticLane::default();
         let mut publish_next = Instant::now();
         for frame in self.frames.clone().skip(metrics.frames.len()) {
             console.begin_frame(frame);
             let (next, record) = match last.take() {
-                None => self.first_frame(frame, method, console)?,
-                Some(previous) => self.next_frame(frame, previous, method, &mut static_lane, console)?,
+                None => self.first_frame(frame, reconstructor)?,
+                Some(previous) => self.later_frame(frame, previous, reconstructor)?,
             };
             console.end_frame(&record);
             metrics.push(record);
@@ -253,240 +238,82 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    /// Frame 0: all layers together, then the split.
-    fn first_frame(
-        &self,
-        frame: usize,
-        method: &mut dyn MotionMethod,
-        console: &mut Console,
-    ) -> Result<(Last, FrameRecord)> {
+    /// Frame 0, or the first of the frames asked for.
+    fn first_frame(&self, frame: usize, reconstructor: &mut Reconstructor) -> Result<(State, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let shots = [training_views(&self.views, frame), init_views(&*self.capture, frame)].concat();
-        let (mut views, sums) = load_views(&*self.capture, &shots)?;
-        let count = self.views.len();
-        let (mut scene, exposures) = if let Some(run) = &self.request.first_frame {
-            let run = RunFolder(run.clone());
-            let exposures = read_exposures(&run)?;
-            exposures.remove(&*self.capture, &shots, &mut views)?;
-            (self.taken_from(&run, frame, &views)?, exposures)
-        } else {
-            record.log.since("load", start);
-            let (trained, exposures) = self.train_all(&shots, &mut views, console, &mut record.log)?;
-            let sky = sky_or_none(trained.sky, &trained.gaussians, &views[..count]);
-            (split(&self.config().marking, &trained.gaussians, sky, &views[..count], &views)?, exposures)
-        };
-        write_exposures(&exposures, &self.folder)?;
-        if scene.dynamic.knowledge.information.is_empty() {
-            let learning = Instant::now();
-            self.learn(&mut scene, None, &views);
-            record.log.since("information", learning);
-        }
-        if scene.hidden.is_empty() {
-            let config = &self.config().disocclusion;
-            let dilation = self.config().marking.dilation;
-            scene.hidden = disocclusion::hidden(config, &scene.static_layer, &views, dilation)?;
-        }
-        views.truncate(count);
-        if let Some(iterations) = self.request.refine_first {
-            self.refine(frame, &mut scene, &views, iterations, console, &mut record.log)?;
-        }
-        method.begin(&scene).with_context(|| self.named("first frame"))?;
+        let (photographs, sums) = first_views_and_checksums(&*self.capture, &self.views, frame)?;
+        record.log.since("load", start);
+        let earlier = self.request.first_frame.as_ref();
+        let earlier = earlier.map(|run| self.earlier(&RunFolder(run.clone()), frame)).transpose()?;
+        let state = reconstructor.first_frame(frame, photographs, earlier, &mut record.log)?;
+        exposures_fact(&state.exposures).into_iter().for_each(|differ| tracing::info!("exposures {differ}"));
+        write_exposures(&state.exposures, &self.folder)?;
         record.log.since("wall", start);
-        let (tests, read) = load_tests(&*self.capture, &exposures, frame)?;
-        let sums = [&sums[..count], &read, &sums[count..]].concat();
-        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, sums)?);
-        let record = self.finish(frame, &scene, &tests, method, FramePictures::default(), record)?;
-        Ok((Last { scene, views, exposures }, record))
+        let (tests, of_tests) = load_tests(&*self.capture, &state.exposures, frame)?;
+        let (own, others) = sums.split_at(self.views.len());
+        record.inputs = Some(self.digest(frame, [own, &of_tests, others])?);
+        let measured = Measured { tests, ..Measured::default() };
+        let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
+        Ok((state, record))
     }
 
-    /// The first frame of another run; marked again where that run marked otherwise. `views` begins with the training
-    /// views.
-    fn taken_from(&self, run: &RunFolder, frame: usize, views: &[TrainingView]) -> Result<Scene> {
+    /// The first frame of another run; to be split again where that run marked otherwise.
+    fn earlier(&self, run: &RunFolder, frame: usize) -> Result<Earlier> {
         let scene = state::load(&run.state(frame), frame).context("--first-frame")?;
         let other: Result<Manifest> = read_json(&run.manifest());
-        if other.is_ok_and(|other| other.config.marking.marks_as(&self.config().marking)) {
-            return Ok(scene);
+        let split_again = !other.is_ok_and(|other| other.config.marking.marks_as(&self.config().marking));
+        if split_again {
+            tracing::info!(
+                "--first-frame: {} marked otherwise; its Gaussians are marked again",
+                run.0.display()
+            );
         }
-        tracing::info!("--first-frame: {} marked otherwise; its Gaussians are marked again", run.0.display());
-        let own = &views[..self.views.len()];
-        split(&self.config().marking, &scene.joint(), scene.sky, own, views)
+        Ok(Earlier {
+            scene,
+            exposures: read_exposures(run)?,
+            split_again,
+            finetune: self.request.refine_first,
+        })
     }
 
-    /// Trains frame 0. Where the exposures of the cameras differ, they are removed from `views`, taken at `shots`, for the
-    /// training that counts.
-    fn train_all(
-        &self,
-        shots: &[ViewAt],
-        views: &mut [TrainingView],
-        console: &mut Console,
-        log: &mut StageLog,
-    ) -> Result<(FirstFrame, Exposures)> {
-        let config = &self.config().first_frame;
-        let train = |name: &'static str, views: &[TrainingView]| {
-            let config = &config.for_views(views.len());
-            let bar = console.lane(name, config.iterations);
-            self.devices().first_frame(
-                config,
-                views,
-                start(&*self.capture, &self.config().reconstruction(), config.sh_degree, views)?,
-                camera_extent(views),
-                self.config().seed,
-                &mut |p| bar.show(p),
-            )
-        };
-        let start = Instant::now();
-        let mut trained_for_trial = |views: &[TrainingView]| train(TRIAL, views);
-        if let Some(trial) = trial(config.few_views, views, self.devices(), &mut trained_for_trial)? {
-            log.since(TRIAL, start);
-            trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
-        }
-        let first = train("first frame", views)?;
-        let estimating = Instant::now();
-        let exposures = if config.exposures && can_be_told(config.iterations, views.len()) {
-            Exposures::estimate(&*self.capture, shots, views, &first.gaussians)
-        } else {
-            Exposures::default()
-        };
-        log.since("exposures", estimating);
-        let Some(differ) = exposures_fact(&exposures) else { return Ok((first, exposures)) };
-        tracing::info!("exposures {differ}");
-        exposures.remove(&*self.capture, shots, views)?;
-        Ok((train(EQUAL, views)?, exposures))
-    }
-
-    /// t - 1 to t: motion initialisation, then the three lanes at the same time.
-    fn next_frame(
+    /// Frame t from t-1.
+    fn later_frame(
         &self,
         frame: usize,
-        last: Last,
-        method: &mut dyn MotionMethod,
-        static_lane: &mut StaticLane,
-        console: &Console,
-    ) -> Result<(Last, FrameRecord)> {
+        last: State,
+        reconstructor: &mut Reconstructor,
+    ) -> Result<(State, FrameRecord)> {
         let start = Instant::now();
-        let Last { mut scene, views: before, exposures } = last;
-        let (now, sums) = load_equal(&*self.capture, &exposures, &training_views(&self.views, frame))?;
+        let (now, sums) = load_equal(&*self.capture, &last.exposures, &training_views(&self.views, frame))?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        let log = &mut record.log;
-        log.since("load", start);
-        let step = Step {
-            frame,
-            seed: self.config().seed,
-            capture: &*self.capture,
-            views: &self.views,
-            before: &before,
-            now: &now,
-            tracks: &self.tracks,
+        record.log.since("load", start);
+        let exposures = last.exposures.clone();
+        let mut measured = None;
+        let mut measure = |step: &Step, scene: &Scene| -> Result<()> {
+            measured = Some(self.measure_prediction(step, scene, &exposures)?);
+            Ok(())
         };
-        if self.config().marking.every_frame && method.births() {
-            self.mark_again(&mut scene, &before, static_lane, log)?;
-        }
-        method
-            .predict(&step, &mut scene, log)
-            .with_context(|| self.named(&format!("prediction of frame {frame}")))?;
-        let measuring = Instant::now();
-        let pictures = self.motion_pictures(frame, &scene.dynamic, &now)?;
-        let (tests, read) = load_tests(&*self.capture, &exposures, frame)?;
-        record.inputs = Some(frame_digest(&*self.capture, &self.views, frame, [sums, read].concat())?);
-        record.initial_mpsnr = mean_mpsnr(&scene, &tests, self.devices())?;
-        let measuring = measuring.elapsed().as_secs_f64();
-        if method.births() {
-            self.add_newborn(frame, &mut scene, &now, console, log)?;
-        }
-        let predicted = Predicted::new(&scene, &self.config().dynamic);
-        let known = predicted.as_ref().map(Predicted::prior);
-        match method
-            .finetune(&step, &mut scene, log)
-            .with_context(|| self.named(&format!("finetuning of frame {frame}")))?
-        {
-            Finetuning::ByLanes => {
-                let lane = (frame, &self.config().dynamic);
-                self.finetune(lane, &mut scene, (static_lane, known), &now, console, log)?;
-                self.train_disoccluded(frame, &mut scene, static_lane, &now, console, log)?;
-                let learning = Instant::now();
-                self.learn(&mut scene, predicted.as_ref(), &now);
-                log.since("information", learning);
-            }
-            Finetuning::Done => {}
-        }
-        log.add_seconds("wall", start.elapsed().as_secs_f64() - measuring);
-        let record = self.finish(frame, &scene, &tests, method, pictures, record)?;
-        Ok((Last { scene, views: now, exposures }, record))
+        let state = reconstructor.later_frame(frame, last, now, &mut record.log, &mut measure)?;
+        let measured = measured.context("the prediction was not measured")?;
+        record.log.add_seconds("wall", start.elapsed().as_secs_f64() - measured.seconds);
+        record.inputs = Some(self.digest(frame, [&sums, &measured.sums, &[]])?);
+        let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
+        Ok((state, record))
     }
 
-    /// Which Gaussians move, decided anew by the masks of t-1.
-    fn mark_again(
-        &self,
-        scene: &mut Scene,
-        before: &[TrainingView],
-        static_lane: &mut StaticLane,
-        log: &mut StageLog,
-    ) -> Result<()> {
+    /// Digest of a frame's inputs: checksums of its training views, test views and initialisation views.
+    fn digest(&self, frame: usize, sums: [&[Checksum]; 3]) -> Result<String> {
+        frame_digest(&*self.capture, &self.views, frame, sums.concat())
+    }
+
+    /// What is known of the motion initialisation, before the scene is trained.
+    fn measure_prediction(&self, step: &Step, scene: &Scene, exposures: &Exposures) -> Result<Measured> {
         let start = Instant::now();
-        let Config { marking, background, .. } = self.config();
-        let [started, stopped] = mark_again(marking, background, scene, before)?;
-        if started + stopped > 0 {
-            static_lane.forget();
-        }
-        log.skip("static Gaussians that move from now on", started);
-        log.skip("moving Gaussians that stand still from now on", stopped);
-        log.since("marking", start);
-        Ok(())
-    }
-
-    /// Moving Gaussians where the masks are not explained.
-    fn add_newborn(
-        &self,
-        frame: usize,
-        scene: &mut Scene,
-        views: &[TrainingView],
-        console: &Console,
-        log: &mut StageLog,
-    ) -> Result<()> {
-        let start = Instant::now();
-        let bar = console.lane("birth", self.config().birth.iterations);
-        let (report, config) = (&mut |p| bar.show(p), self.config().reconstruction());
-        let born = birth::add_newborn(self.devices(), &config, scene, views, self.seed(frame), report)?;
-        if born > 0 {
-            tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
-        }
-        log.since("birth", start);
-        Ok(())
-    }
-
-    /// The static layer where something that moves covered it so far.
-    fn train_disoccluded(
-        &self,
-        frame: usize,
-        scene: &mut Scene,
-        static_lane: &mut StaticLane,
-        views: &[TrainingView],
-        console: &Console,
-        log: &mut StageLog,
-    ) -> Result<()> {
-        let start = Instant::now();
-        let (config, seed) = (self.config(), self.seed(frame));
-        if !frame.is_multiple_of(config.disocclusion.every) {
-            return Ok(());
-        }
-        let bar = console.lane("disocclusion", config.disocclusion.iterations);
-        let learnt = disocclusion::learn(
-            self.devices(),
-            &config.disocclusion,
-            (scene, static_lane),
-            views,
-            config.marking.dilation,
-            seed,
-            &mut |p| bar.show(p),
-        )?;
-        tracing::debug!("frame {frame}: {learnt} static Gaussians come to light");
-        log.since("disocclusion", start);
-        Ok(())
-    }
-
-    fn seed(&self, frame: usize) -> u64 {
-        self.config().seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ frame as u64
+        let pictures = self.motion_pictures(step.frame, &scene.dynamic, step.now)?;
+        let (tests, sums) = load_tests(&*self.capture, exposures, step.frame)?;
+        let initial_mpsnr = mean_mpsnr(scene, &tests, self.devices())?;
+        Ok(Measured { tests, sums, pictures, initial_mpsnr, seconds: start.elapsed().as_secs_f64() })
     }
 
     /// Motion and uncertainty over the photograph that shows most of the foreground.
@@ -521,21 +348,23 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         scene: &Scene,
-        tests: &[TestView],
-        method: &dyn MotionMethod,
-        mut pictures: FramePictures,
+        reconstructor: &Reconstructor,
+        measured: Measured,
         mut record: FrameRecord,
     ) -> Result<FrameRecord> {
+        let Measured { tests, mut pictures, initial_mpsnr, .. } = measured;
+        record.initial_mpsnr = initial_mpsnr;
         let folder = self.folder.frame(frame);
         let splats = write_splats(&folder, scene)?;
-        (record.views, pictures.views) = score(&*self.capture, scene, tests, &folder, self.devices())?;
+        (record.views, pictures.views) = score(&*self.capture, scene, &tests, &folder, self.devices())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
         record.peak_memory_mib = memory::peak_mib();
         (record.read_mib, record.processor_seconds) = (memory::read_mib(), memory::processor_seconds());
-        let stored = method.store(scene, &folder).with_context(|| self.named("storage"))?;
+        let method = &reconstructor.method;
+        let stored = method.store(scene, &folder).with_context(|| reconstructor.named("storage"))?;
         // What a method stores in its own form reproduces the frame alone.
         record.bytes = if stored.is_empty() { &splats[..] } else { &stored }.iter().map(size).sum();
         write_json(&self.folder.record(frame), &record)?;
@@ -560,6 +389,19 @@ fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
     Ok(())
 }
 
+/// What is known of a frame before it is trained, and the test views on which it is measured afterwards.
+#[derive(Default)]
+struct Measured {
+    tests: Vec<TestView>,
+    /// Of the test views.
+    sums: Vec<Checksum>,
+    pictures: FramePictures,
+    /// Mean foreground PSNR (dB) of the motion initialisation.
+    initial_mpsnr: Option<f64>,
+    /// How long that took.
+    seconds: f64,
+}
+
 /// A frame after the first starts from the one before it: the initial points and init views are of frame 0.
 fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Result<()> {
     let begun = request.resume && folder.is_finished(start);
@@ -573,6 +415,5 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
     Ok(())
 }
 
-mod finetune;
 #[cfg(test)]
 mod tests;

@@ -5,18 +5,15 @@ use crate::failed;
 use crate::frame::Frame;
 use anyhow::Result;
 use clap::{Parser, ValueEnum};
-use ffgs_core::Scene;
+use ffgs_core::StageLog;
 use ffgs_method::Capture;
+use ffgs_motion::Standstill;
 use ffgs_pipeline::cli::{Cli, Command};
 use ffgs_pipeline::config::Config;
 use ffgs_pipeline::device::Device;
-use ffgs_pipeline::frame::{all_views, select_views};
+use ffgs_pipeline::frame::{first_views, select_views};
 use ffgs_pipeline::stage::{Form, Stage, run as run_stage};
-use ffgs_reconstruction::Exposures;
-use ffgs_reconstruction::initial_points::start;
-use ffgs_reconstruction::marking::split;
-use ffgs_reconstruction::sky::sky_or_none;
-use ffgs_trainer::{CpuBackend, camera_extent};
+use ffgs_reconstruction::{Devices, Reconstructor, Silent, State};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -35,8 +32,7 @@ pub(crate) fn stage(
     py.detach(|| run_stage(stage, form, &input, &output, &Device::Cpu)).map_err(failed)
 }
 
-/// Trains frame 0 of a capture from its initial points on the CPU, as a run does where the exposures of the cameras agree, and splits it
-/// into layers. Nothing is written.
+/// Trains frame 0 of a capture from its initial points on the CPU, as a run does, and splits it into layers. Nothing is written.
 #[pyfunction]
 #[pyo3(signature = (capture, *, iterations=None, seed=1))]
 pub(crate) fn train_first_frame(
@@ -45,23 +41,25 @@ pub(crate) fn train_first_frame(
     seed: u64,
 ) -> PyResult<Frame> {
     let from = &*capture.get().0;
-    let scene = capture.py().detach(|| trained(from, iterations, seed)).map_err(failed)?;
-    Ok(Frame::of(0, scene, Exposures::default()))
+    let state = capture.py().detach(|| trained(from, iterations, seed)).map_err(failed)?;
+    Ok(Frame::of(0, state.scene, state.exposures))
 }
 
-fn trained(capture: &dyn Capture, iterations: Option<usize>, seed: u64) -> Result<Scene> {
-    let mut config = Config::default();
+fn trained(capture: &dyn Capture, iterations: Option<usize>, seed: u64) -> Result<State> {
+    let mut config = Config { seed, ..Config::default() };
     config.first_frame.iterations = iterations.unwrap_or(config.first_frame.iterations);
     let chosen = select_views(capture, None)?;
-    let views = all_views(capture, &chosen, 0)?;
-    let own = &views[..chosen.len()];
-    let first = config.first_frame.for_views(views.len());
-    let points = start(capture, &config.reconstruction(), first.sh_degree, &views)?;
-    let extent = camera_extent(&views);
-    let trained =
-        ffgs_trainer::train_first_frame(&CpuBackend, &first, &views, points, extent, seed, &mut |_| {})?;
-    let sky = sky_or_none(trained.sky, &trained.gaussians, own);
-    split(&config.marking, &trained.gaussians, sky, own, &views)
+    let mut reconstructor = Reconstructor {
+        config: config.reconstruction(),
+        devices: Devices(&[]),
+        capture,
+        views: &chosen,
+        tracks: &[],
+        method: Box::new(Standstill),
+        method_name: "none".to_owned(),
+        monitor: &Silent,
+    };
+    reconstructor.first_frame(0, first_views(capture, &chosen, 0)?, None, &mut StageLog::default())
 }
 
 /// `ffgs run` with the words of its command line; the path of the report.

@@ -2,25 +2,45 @@
 
 use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
+use crate::reconstructor::Reconstructor;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, TrainingView, sigmoid};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid};
 use ffgs_fusion::{Seed, SeedView, seeds};
 use ffgs_motion::join;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, from_points, unexplained};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::time::Instant;
 
 /// Fewest seeds that are worth a training.
 const LEAST_SEEDS: usize = 8;
 /// Share of the views that lacked an explanation at a newborn's place in which it has one now.
 const EXPLAINS: f64 = 0.5;
 
+impl Reconstructor<'_> {
+    /// Moving Gaussians where the masks are not explained.
+    pub(crate) fn add_newborn(
+        &self,
+        frame: usize,
+        scene: &mut Scene,
+        views: &[TrainingView],
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let report = self.monitor.begin("birth", self.config.birth.iterations);
+        let seed = self.seed(frame);
+        let born = add_newborn(self.devices, &self.config, scene, views, seed, &mut |p| report(p))?;
+        if born > 0 {
+            tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
+        }
+        log.since("birth", start);
+        Ok(())
+    }
+}
+
 /// Adds moving Gaussians where the masks of `views` are not explained; returns how many.
-///
-/// # Errors
-/// When the device fails.
-pub fn add_newborn(
+fn add_newborn(
     devices: Devices,
     config: &ReconstructionConfig,
     scene: &mut Scene,

@@ -28,7 +28,7 @@ impl<'a> Devices<'a> {
 
     /// Runs the three lanes of a frame at the same time. With one device the static lane and the sky take turns: they
     /// would only hold more memory.
-    pub fn together<D: Send, S: Send, K: Send>(
+    pub(crate) fn together<D: Send, S: Send, K: Send>(
         self,
         dynamic: impl FnOnce() -> D + Send,
         static_lane: impl FnOnce() -> S + Send,
@@ -47,10 +47,7 @@ impl<'a> Devices<'a> {
     }
 
     /// Frame 0.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn first_frame(
+    pub(crate) fn first_frame(
         self,
         config: &FirstFrameConfig,
         views: &[TrainingView],
@@ -66,10 +63,7 @@ impl<'a> Devices<'a> {
     }
 
     /// The moving Gaussians.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn dynamic(
+    pub(crate) fn dynamic(
         self,
         config: &DynamicLaneConfig,
         views: &[TrainingView],
@@ -86,10 +80,7 @@ impl<'a> Devices<'a> {
     }
 
     /// The static layer's colours.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn static_layer(
+    pub(crate) fn static_layer(
         self,
         lane: &mut StaticLane,
         config: &BackgroundConfig,
@@ -106,10 +97,7 @@ impl<'a> Devices<'a> {
     }
 
     /// The static Gaussians that come to light; whether any view shows them.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn disoccluded(
+    pub(crate) fn disoccluded(
         self,
         config: &DisocclusionConfig,
         what: Disoccluded,
@@ -124,10 +112,7 @@ impl<'a> Devices<'a> {
     }
 
     /// Moving Gaussians that join the layer; `None` when too few pixels show them.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn newborn(
+    pub(crate) fn newborn(
         self,
         config: &BirthConfig,
         newborn: Newborn,
@@ -142,10 +127,7 @@ impl<'a> Devices<'a> {
     }
 
     /// The sky.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn sky(
+    pub(crate) fn sky(
         self,
         config: &BackgroundConfig,
         views: &[TrainingView],

@@ -1,12 +1,13 @@
 //! What moving things hid from the static layer so far, and its training where it comes to light
 //! (docs/adr/0042-disoccluded-gaussians-are-trained.md).
 
-use crate::devices::Devices;
 use crate::marking::cameras_and_masks;
+use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, TrainingView};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView};
 use ffgs_fusion::{ViewCounts, count_views};
-use ffgs_trainer::{Disoccluded, DisocclusionConfig, Progress, StaticLane};
+use ffgs_trainer::{Disoccluded, DisocclusionConfig, Progress};
+use std::time::Instant;
 
 /// With at most one in so many of the views that could see it open, a Gaussian counts as hidden.
 const HIDDEN_ONE_IN: u32 = 3;
@@ -24,10 +25,7 @@ fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<
 
 /// Per static Gaussian the rounds in which it is to be trained: `config.rounds` for those that `views`, all that frame 0
 /// has, mostly saw covered by something that moves.
-///
-/// # Errors
-/// When the masks do not fit their cameras.
-pub fn hidden(
+fn hidden(
     config: &DisocclusionConfig,
     layer: &Gaussians,
     views: &[TrainingView],
@@ -42,35 +40,64 @@ pub fn hidden(
     Ok(hidden.iter().map(|c| if is_hidden(c) { rounds } else { 0 }).collect())
 }
 
-/// Trains what was hidden and is in the open at t. Returns how many Gaussians that were.
-///
-/// # Errors
-/// When the masks do not fit their cameras, or the device fails.
-pub fn learn(
-    devices: Devices,
-    config: &DisocclusionConfig,
-    (scene, static_lane): (&mut Scene, &mut StaticLane),
-    views: &[TrainingView],
-    dilation: usize,
-    seed: u64,
-    report: &mut dyn FnMut(Progress),
-) -> Result<usize> {
-    if config.iterations == 0 || scene.hidden.iter().all(|&rounds| rounds == 0) {
-        return Ok(0);
+impl Reconstructor<'_> {
+    /// Notes which static Gaussians moving things hide in a first frame, where that is not known yet. `views` are all that it was trained on.
+    pub(crate) fn find_hidden(&self, scene: &mut Scene, views: &[TrainingView]) -> Result<()> {
+        if scene.hidden.is_empty() {
+            let (config, dilation) = (&self.config.disocclusion, self.config.marking.dilation);
+            scene.hidden = hidden(config, &scene.static_layer, views, dilation)?;
+        }
+        Ok(())
     }
-    let counts = counts(&scene.static_layer, views, dilation)?;
-    let open = |i: usize| counts[i].seen - counts[i].inside;
-    let in_the_open = |i: &usize| scene.hidden[*i] > 0 && open(*i) >= LEAST_OPEN.min(counts[*i].seen).max(1);
-    let gaussians: Vec<usize> = (0..counts.len()).filter(in_the_open).collect();
-    let what =
-        Disoccluded { gaussians: &gaussians, moving: &scene.dynamic.gaussians, views, sky: &scene.sky };
-    if devices.disoccluded(config, what, &mut scene.static_layer, seed, report)? {
-        static_lane.forget();
+
+    /// Every so many frames, trains the static Gaussians that were hidden and that `views`, of t, now see.
+    pub(crate) fn train_disoccluded(
+        &self,
+        frame: usize,
+        state: &mut State,
+        views: &[TrainingView],
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let config = &self.config.disocclusion;
+        if !frame.is_multiple_of(config.every) {
+            return Ok(());
+        }
+        let report = self.monitor.begin("disocclusion", config.iterations);
+        let hidden = |scene: &Scene| scene.hidden.iter().any(|&rounds| rounds > 0);
+        if config.iterations > 0 && hidden(&state.scene) {
+            let count = self.train_open(frame, state, views, &mut |p| report(p))?;
+            tracing::debug!("frame {frame}: {count} static Gaussians come to light");
+        }
+        log.since("disocclusion", start);
+        Ok(())
     }
-    for &i in &gaussians {
-        scene.hidden[i] -= u8::from(open(i) * OPEN_ONE_IN >= counts[i].seen);
+
+    /// Trains what was hidden and is in the open at t. Returns how many Gaussians that were.
+    fn train_open(
+        &self,
+        frame: usize,
+        state: &mut State,
+        views: &[TrainingView],
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<usize> {
+        let State { scene, static_lane, .. } = state;
+        let counts = counts(&scene.static_layer, views, self.config.marking.dilation)?;
+        let open = |i: usize| counts[i].seen - counts[i].inside;
+        let in_the_open =
+            |i: &usize| scene.hidden[*i] > 0 && open(*i) >= LEAST_OPEN.min(counts[*i].seen).max(1);
+        let gaussians: Vec<usize> = (0..counts.len()).filter(in_the_open).collect();
+        let what =
+            Disoccluded { gaussians: &gaussians, moving: &scene.dynamic.gaussians, views, sky: &scene.sky };
+        let (config, seed) = (&self.config.disocclusion, self.seed(frame));
+        if self.devices.disoccluded(config, what, &mut scene.static_layer, seed, report)? {
+            static_lane.forget();
+        }
+        for &i in &gaussians {
+            scene.hidden[i] -= u8::from(open(i) * OPEN_ONE_IN >= counts[i].seen);
+        }
+        Ok(gaussians.len())
     }
-    Ok(gaussians.len())
 }
 
 #[cfg(test)]

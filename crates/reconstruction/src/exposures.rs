@@ -31,13 +31,13 @@ pub struct Exposures {
 }
 
 /// Whether a first frame of so many steps over `views` photographs shows the exposures.
-pub fn can_be_told(steps: usize, views: usize) -> bool {
+pub(crate) fn can_be_told(steps: usize, views: usize) -> bool {
     steps >= LEAST_STEPS * views
 }
 
 impl Exposures {
     /// Of the photographs `views`, taken at `shots`, on the surfaces of a first frame that was trained on them.
-    pub fn estimate(
+    pub(crate) fn estimate(
         capture: &dyn Capture,
         shots: &[ViewAt],
         views: &[TrainingView],

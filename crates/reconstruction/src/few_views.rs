@@ -13,11 +13,11 @@ const FEWEST: usize = 3;
 const FAR_BELOW: f64 = 8.0;
 
 /// Trains the first frame of some views.
-pub type Train<'a> = &'a mut dyn FnMut(&[TrainingView]) -> Result<FirstFrame>;
+pub(crate) type Train<'a> = &'a mut dyn FnMut(&[TrainingView]) -> Result<FirstFrame>;
 
 /// A training with one view left out.
 #[derive(Clone, Copy, Debug)]
-pub struct Trial {
+pub(crate) struct Trial {
     /// PSNR of the view left out (dB).
     pub left_out: f64,
     /// Mean PSNR of the others (dB).
@@ -26,7 +26,7 @@ pub struct Trial {
 
 impl Trial {
     /// What is to be said in the report, if anything.
-    pub fn warning(&self, cameras: usize) -> Option<String> {
+    pub(crate) fn warning(&self, cameras: usize) -> Option<String> {
         let Self { left_out, trained, .. } = self;
         (trained - left_out > FAR_BELOW).then(|| {
             format!(
@@ -39,10 +39,12 @@ impl Trial {
 }
 
 /// Trains without the view in the middle; `None` for views that are not few.
-///
-/// # Errors
-/// When the training or the device fails.
-pub fn trial(few: usize, views: &[TrainingView], devices: Devices, train: Train) -> Result<Option<Trial>> {
+pub(crate) fn trial(
+    few: usize,
+    views: &[TrainingView],
+    devices: Devices,
+    train: Train,
+) -> Result<Option<Trial>> {
     if views.len() < FEWEST || views.len() > few {
         return Ok(None);
     }

@@ -7,10 +7,7 @@ use ffgs_method::Capture;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, from_points};
 
 /// Gaussians at the capture's points, with colours of a degree, before a sky of one colour.
-///
-/// # Errors
-/// When the capture has no initial points or they cannot be read.
-pub fn start(
+pub(crate) fn start(
     capture: &dyn Capture,
     config: &ReconstructionConfig,
     degree: usize,

@@ -8,7 +8,7 @@ use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, informatio
 use glam::DMat3;
 
 /// The prediction before a frame's photographs.
-pub struct Predicted {
+pub(crate) struct Predicted {
     information: Information,
     noise: PixelNoise,
     /// Where the finetuning starts.
@@ -25,7 +25,7 @@ fn least(config: &DynamicLaneConfig) -> Drift {
 
 impl Predicted {
     /// After the motion; `None` when nothing is known or asked for.
-    pub fn new(scene: &Scene, config: &DynamicLaneConfig) -> Option<Self> {
+    pub(crate) fn new(scene: &Scene, config: &DynamicLaneConfig) -> Option<Self> {
         let Knowledge { information, drift, noise: [sigma, correlated] } = &scene.dynamic.knowledge;
         if information.is_empty() || config.prior_weight == 0.0 {
             return None;
@@ -46,13 +46,13 @@ impl Predicted {
     }
 
     /// As the finetuning takes it.
-    pub fn prior(&self) -> Prior<'_> {
+    pub(crate) fn prior(&self) -> Prior<'_> {
         Prior { information: &self.information, noise: self.noise, weight: self.config.prior_weight }
     }
 }
 
 /// Adds the information of `views` on the trained scene; `predicted` is the information before, and the start of the training.
-pub fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
+pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
     if scene.dynamic.gaussians.is_empty() {
         return;
     }

@@ -1,18 +1,28 @@
-//! How a frame is reconstructed: from photographs and the scene before to the scene at t. No file is opened here: captures and trackers are
-//! read through the traits of `method`.
+//! The reconstruction of frames: the state that a frame leaves, and the step to the next. Read `frame.rs` first; it is the whole sequence.
+//!
+//! No file is opened here: cameras, points and tracks come through the traits of `method`, photographs from the caller. What moves the
+//! scene is a [`MotionMethod`](ffgs_method::MotionMethod).
 
-pub mod birth;
+mod birth;
 mod config;
 mod devices;
-pub mod disocclusion;
-pub mod exposures;
-pub mod few_views;
-pub mod initial_points;
-pub mod knowledge;
-pub mod marking;
-pub mod sky;
+mod disocclusion;
+mod exposures;
+mod few_views;
+mod first_training;
+mod frame;
+mod initial_points;
+mod knowledge;
+mod lanes;
+mod marking;
+mod monitor;
+mod reconstructor;
+mod sky;
 
 pub use config::ReconstructionConfig;
 pub use devices::Devices;
 pub use exposures::Exposures;
+pub use first_training::{Earlier, FirstViews};
+pub use monitor::{Monitor, Report, Silent};
+pub use reconstructor::{Reconstructor, State};
 pub use sky::sky_picture;

@@ -1,19 +1,37 @@
 //! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
 
+use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Gaussians, Mask, Scene, SkyCube, TrainingView, spatial_order};
+use ffgs_core::{Camera, Dynamic, Gaussians, Mask, Scene, SkyCube, StageLog, TrainingView, spatial_order};
 use ffgs_fusion::{Silhouettes, initial_covariance};
 use ffgs_motion::{MarkingConfig, join, pixel_sizes};
 use ffgs_trainer::BackgroundConfig;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
+use std::time::Instant;
+
+impl Reconstructor<'_> {
+    /// Which Gaussians move, decided again by the masks of t-1.
+    pub(crate) fn mark_again(&self, state: &mut State, log: &mut StageLog) -> Result<()> {
+        let start = Instant::now();
+        let State { scene, views, static_lane, .. } = state;
+        let [started, stopped] = mark_again(&self.config.marking, &self.config.background, scene, views)?;
+        if started + stopped > 0 {
+            static_lane.forget();
+        }
+        log.skip("static Gaussians that move from now on", started);
+        log.skip("moving Gaussians that stand still from now on", stopped);
+        log.since("marking", start);
+        Ok(())
+    }
+}
 
 /// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move. `views` are those that later
 /// frames have: they say how large a pixel is where a Gaussian lies.
 ///
 /// # Errors
 /// When the masks do not fit their cameras.
-pub fn split(
+pub(crate) fn split(
     marking: &MarkingConfig,
     all: &Gaussians,
     sky: SkyCube,
@@ -41,7 +59,7 @@ pub fn split(
 ///
 /// # Errors
 /// When the masks do not fit their cameras.
-pub fn mark_again(
+fn mark_again(
     marking: &MarkingConfig,
     background: &BackgroundConfig,
     scene: &mut Scene,

@@ -12,7 +12,7 @@ pub fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
 
 /// The sky, or one colour where no view shows any. Indoors no sky is seen; what frame 0 made of it would show as soon as something
 /// before it moves.
-pub fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> SkyCube {
+pub(crate) fn sky_or_none(sky: SkyCube, layer: &Gaussians, views: &[TrainingView]) -> SkyCube {
     if shows_sky(layer, views) {
         return sky;
     }

@@ -1,3 +1,5 @@
+//! Runs that count what they open, share what they can, and lose a GPU.
+
 use super::*;
 use crate::config::Config;
 use crate::device::Device;
@@ -83,11 +85,11 @@ fn a_frame_copies_the_static_layer_only_to_change_it() {
         request.device = Device::Cpu;
         request.config.background.static_iterations = steps;
         let job = Job::open(&request).unwrap();
-        let (mut console, mut method) = (Console::new(true, job.frames.clone()), job.method().unwrap());
-        let (first, _) = job.first_frame(0, &mut *method, &mut console).unwrap();
+        let console = Console::new(true, job.frames.clone());
+        let mut reconstructor = job.reconstructor(&console).unwrap();
+        let (first, _) = job.first_frame(0, &mut reconstructor).unwrap();
         let layer = Arc::clone(&first.scene.static_layer);
-        let mut lane = StaticLane::default();
-        let (next, _) = job.next_frame(1, first, &mut *method, &mut lane, &console).unwrap();
+        let (next, _) = job.later_frame(1, first, &mut reconstructor).unwrap();
         assert_eq!(Arc::ptr_eq(&layer, &next.scene.static_layer), stays, "{steps} steps");
         assert_eq!(Arc::strong_count(&layer), if stays { 2 } else { 1 }, "who else keeps it?");
     }

@@ -1,38 +1,45 @@
 //! The three lanes of a frame.
 
-use super::Job;
-use crate::console::Console;
+use crate::knowledge::{self, Predicted};
+use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView};
-use ffgs_reconstruction::knowledge::{self, Predicted};
-use ffgs_trainer::{
-    DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticLane, StaticTargets, Surroundings,
-};
+use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticTargets, Surroundings};
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-impl Job<'_> {
+/// What the lanes of a frame start from, beside the scene.
+pub(crate) struct FrameStart<'a> {
+    /// Its index, for the seeds.
+    pub frame: usize,
+    /// How the dynamic layer is finetuned.
+    pub dynamic_lane: DynamicLaneConfig,
+    /// What is known of the dynamic layer from earlier frames.
+    pub prior: Option<Prior<'a>>,
+    /// Photographs of the frame.
+    pub views: &'a [TrainingView],
+}
+
+impl Reconstructor<'_> {
     /// Every lane reads the state at the frame's start and writes its own layer, so the order does not matter.
-    pub(super) fn finetune(
+    pub(crate) fn train_lanes(
         &self,
-        (frame, dynamic_lane): (usize, &DynamicLaneConfig),
-        scene: &mut Scene,
-        (static_lane, prior): (&mut StaticLane, Option<Prior>),
-        views: &[TrainingView],
-        console: &Console,
+        start: &FrameStart,
+        state: &mut State,
         log: &mut StageLog,
     ) -> Result<()> {
-        let (config, devices) = (self.config(), self.devices());
-        let seed = self.seed(frame);
+        let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
+        let FrameStart { ref dynamic_lane, prior, views, .. } = *start;
+        let State { scene, static_lane, .. } = state;
         let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let [moving, standing] =
             [&dynamic.gaussians, &static_start].map(|layer| self.as_fine_as(layer, views));
         let parts = parts(config.resolution, dynamic_lane, moving.factor);
-        let dynamic_bar = console.lane("dynamic", dynamic_lane.iterations);
-        let static_bar = console.lane("static", config.background.static_passes());
+        let show_dynamic = self.monitor.begin("dynamic", dynamic_lane.iterations);
+        let show_static = self.monitor.begin("static", config.background.static_passes());
         let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
             let start = Instant::now();
             work().map(|()| start.elapsed().as_secs_f64())
@@ -42,10 +49,10 @@ impl Job<'_> {
             || {
                 timed(&mut || {
                     let layer = &mut dynamic.gaussians;
-                    let report = &mut |p| dynamic_bar.show(p);
+                    let report = &mut |p| show_dynamic(p);
                     devices.dynamic(&parts[0], &moving.views, around, layer, seed, report)?;
                     let before = parts[0].iterations;
-                    let report = &mut |p| dynamic_bar.show(after(before, p));
+                    let report = &mut |p| show_dynamic(after(before, p));
                     let around = Surroundings { prior: prior.map(|p| p.finer(moving.factor)), ..around };
                     devices.dynamic(&parts[1], views, around, layer, seed, report)
                 })
@@ -53,7 +60,7 @@ impl Job<'_> {
             || {
                 timed(&mut || {
                     let targets = StaticTargets { views: &standing.views, sky: &sky_start };
-                    let report = &mut |p| static_bar.show(p);
+                    let report = &mut |p| show_static(p);
                     let layer = (&mut *static_layer, &mut *static_colours);
                     devices.static_layer(static_lane, background, targets, layer, seed, report)
                 })
@@ -66,36 +73,23 @@ impl Job<'_> {
         Ok(())
     }
 
-    /// Finetunes a frame that was taken from another run, which had trained it less.
-    pub(super) fn refine(
+    /// Adds what the photographs tell of the dynamic layer to what is known of it.
+    pub(crate) fn learn(
         &self,
-        frame: usize,
         scene: &mut Scene,
+        predicted: Option<&Predicted>,
         views: &[TrainingView],
-        iterations: usize,
-        console: &Console,
         log: &mut StageLog,
-    ) -> Result<()> {
-        let dynamic_lane = DynamicLaneConfig { iterations, ..self.config().dynamic };
-        let predicted = Predicted::new(scene, &dynamic_lane);
-        let known = predicted.as_ref().map(Predicted::prior);
-        let lanes = (&mut StaticLane::default(), known);
-        self.finetune((frame, &dynamic_lane), scene, lanes, views, console, log)?;
+    ) {
         let start = Instant::now();
-        self.learn(scene, predicted.as_ref(), views);
-        log.since("information", start);
-        Ok(())
-    }
-
-    /// Adds what the photographs tell of the moving layer.
-    pub(super) fn learn(&self, scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
         let views = self.as_fine_as(&scene.dynamic.gaussians, views).views;
         knowledge::learn(scene, predicted, &views);
+        log.since("information", start);
     }
 
     /// The photographs, no larger than what `layer` can show.
     fn as_fine_as<'v>(&self, layer: &Gaussians, views: &'v [TrainingView]) -> Reduced<'v> {
-        let factor = self.config().resolution.reduction(layer, views);
+        let factor = self.config.resolution.reduction(layer, views);
         Reduced { factor, views: TrainingView::all_reduced(views, factor) }
     }
 }

@@ -1,0 +1,136 @@
+//! The training of frame 0: a trial where cameras are few, all Gaussians together, once more where exposures differ, then the split.
+
+use crate::exposures::{Exposures, can_be_told};
+use crate::few_views::trial;
+use crate::initial_points::start;
+use crate::marking::split;
+use crate::reconstructor::Reconstructor;
+use crate::sky::sky_or_none;
+use anyhow::Result;
+use ffgs_core::{Gaussians, Scene, SkyCube, StageLog, TrainingView};
+use ffgs_method::{Split, ViewAt};
+use ffgs_trainer::{FirstFrame, camera_extent};
+use std::time::Instant;
+
+/// The training of few cameras' first frame without one of them, to the monitor and in the log.
+const TRIAL: &str = "first frame without its middle view";
+/// The training of frame 0 once the exposures of its cameras are removed.
+const EQUAL: &str = "first frame, exposures removed";
+
+/// Photographs of a first frame.
+pub struct FirstViews {
+    /// Where each was taken: those of the training views, then those that only frame 0 has.
+    pub shots: Vec<ViewAt>,
+    /// As loaded, one per shot.
+    pub views: Vec<TrainingView>,
+}
+
+/// A first frame that was reconstructed before.
+pub struct Earlier {
+    /// Its layers.
+    pub scene: Scene,
+    /// The exposures that were removed from its photographs.
+    pub exposures: Exposures,
+    /// Whether it is to be split into layers again, by the masks and the settings of now.
+    pub split_again: bool,
+    /// Iterations of finetuning, as a later frame is finetuned: for a frame that was trained less. `None` = it stays as it is.
+    pub finetune: Option<usize>,
+}
+
+impl FirstViews {
+    /// How many are of training views.
+    fn training_count(&self) -> usize {
+        self.shots.iter().filter(|at| at.split == Split::Train).count()
+    }
+
+    /// Those of the training views, which later frames have, too.
+    fn training(&self) -> &[TrainingView] {
+        &self.views[..self.training_count()]
+    }
+
+    /// As [`training`](Self::training), without the others.
+    pub(crate) fn into_training(mut self) -> Vec<TrainingView> {
+        self.views.truncate(self.training_count());
+        self.views
+    }
+}
+
+impl Reconstructor<'_> {
+    /// Trains all Gaussians and splits them into layers. Where the exposures of the cameras differ, they are removed from `photographs`.
+    pub(crate) fn train_first(
+        &self,
+        photographs: &mut FirstViews,
+        log: &mut StageLog,
+    ) -> Result<(Scene, Exposures)> {
+        self.warn_of_few_views(&photographs.views, log)?;
+        let (trained, exposures) = self.train_in_one_exposure(photographs, log)?;
+        let sky = sky_or_none(trained.sky, &trained.gaussians, photographs.training());
+        Ok((self.split(&trained.gaussians, sky, photographs)?, exposures))
+    }
+
+    /// A first frame that was reconstructed before; its exposures are removed from `photographs`.
+    pub(crate) fn take_earlier(
+        &self,
+        earlier: Earlier,
+        photographs: &mut FirstViews,
+    ) -> Result<(Scene, Exposures)> {
+        let Earlier { mut scene, exposures, split_again, .. } = earlier;
+        exposures.remove(self.capture, &photographs.shots, &mut photographs.views)?;
+        if split_again {
+            scene = self.split(&scene.joint(), scene.sky, photographs)?;
+        }
+        Ok((scene, exposures))
+    }
+
+    fn split(&self, all: &Gaussians, sky: SkyCube, photographs: &FirstViews) -> Result<Scene> {
+        split(&self.config.marking, all, sky, photographs.training(), &photographs.views)
+    }
+
+    /// Few cameras: how far is the scene to be trusted between them?
+    fn warn_of_few_views(&self, views: &[TrainingView], log: &mut StageLog) -> Result<()> {
+        let start = Instant::now();
+        let mut train = |views: &[TrainingView]| self.train_all(TRIAL, views);
+        if let Some(trial) = trial(self.config.first_frame.few_views, views, self.devices, &mut train)? {
+            log.since(TRIAL, start);
+            trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
+        }
+        Ok(())
+    }
+
+    /// Where exposures differ, the training that counts is the second one, on photographs of one exposure.
+    fn train_in_one_exposure(
+        &self,
+        photographs: &mut FirstViews,
+        log: &mut StageLog,
+    ) -> Result<(FirstFrame, Exposures)> {
+        let config = &self.config.first_frame;
+        let FirstViews { shots, views } = photographs;
+        let first = self.train_all("first frame", views)?;
+        let estimating = Instant::now();
+        let exposures = if config.exposures && can_be_told(config.iterations, views.len()) {
+            Exposures::estimate(self.capture, shots, views, &first.gaussians)
+        } else {
+            Exposures::default()
+        };
+        log.since("exposures", estimating);
+        if exposures.are_neutral() {
+            return Ok((first, exposures));
+        }
+        exposures.remove(self.capture, shots, views)?;
+        Ok((self.train_all(EQUAL, views)?, exposures))
+    }
+
+    /// One training of all Gaussians, from the capture's points.
+    fn train_all(&self, name: &'static str, views: &[TrainingView]) -> Result<FirstFrame> {
+        let config = &self.config.first_frame.for_views(views.len());
+        let report = self.monitor.begin(name, config.iterations);
+        self.devices.first_frame(
+            config,
+            views,
+            start(self.capture, &self.config, config.sh_degree, views)?,
+            camera_extent(views),
+            self.config.seed,
+            &mut |p| report(p),
+        )
+    }
+}

@@ -1,0 +1,106 @@
+//! The sequence of a frame. Read this file first: each step that it names has a file of its own.
+//!
+//! ```text
+//! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
+//! frame t   state of t-1, photographs of t
+//!           -> mark again -> predict (the method) -> add newborn -> dynamic, static and sky lane -> disocclusion
+//!           -> learn information -> state of t
+//! ```
+
+use crate::first_training::{Earlier, FirstViews};
+use crate::knowledge::Predicted;
+use crate::lanes::FrameStart;
+use crate::reconstructor::{Reconstructor, State};
+use anyhow::{Context, Result};
+use ffgs_core::{Scene, StageLog, TrainingView};
+use ffgs_method::{Finetuning, Step};
+use ffgs_trainer::DynamicLaneConfig;
+
+impl Reconstructor<'_> {
+    /// Frame 0, or the first frame of a run: all Gaussians are trained together from the capture's points, or taken from `earlier`, and
+    /// split into layers.
+    ///
+    /// # Errors
+    /// When the capture has no initial points, masks do not fit their cameras, or the method or the device fails.
+    pub fn first_frame(
+        &mut self,
+        frame: usize,
+        mut photographs: FirstViews,
+        earlier: Option<Earlier>,
+        log: &mut StageLog,
+    ) -> Result<State> {
+        let finetune = earlier.as_ref().and_then(|earlier| earlier.finetune);
+        let (mut scene, exposures) = match earlier {
+            Some(earlier) => self.take_earlier(earlier, &mut photographs)?,
+            None => self.train_first(&mut photographs, log)?,
+        };
+        if scene.dynamic.knowledge.information.is_empty() {
+            self.learn(&mut scene, None, &photographs.views, log);
+        }
+        self.find_hidden(&mut scene, &photographs.views)?;
+        let mut state = State::new(scene, photographs.into_training(), exposures);
+        if let Some(iterations) = finetune {
+            self.finetune_first(frame, &mut state, iterations, log)?;
+        }
+        self.method.begin(&state.scene).with_context(|| self.named("first frame"))?;
+        Ok(state)
+    }
+
+    /// Frame t from t-1. `now` are the photographs of t, in one exposure. `predicted` is called with the scene before it is trained: what it
+    /// measures is the motion initialisation.
+    ///
+    /// # Errors
+    /// When masks do not fit their cameras, or the method, the device or `predicted` fails.
+    pub fn later_frame(
+        &mut self,
+        frame: usize,
+        mut state: State,
+        now: Vec<TrainingView>,
+        log: &mut StageLog,
+        predicted: &mut dyn FnMut(&Step, &Scene) -> Result<()>,
+    ) -> Result<State> {
+        if self.config.marking.every_frame && self.method.births() {
+            self.mark_again(&mut state, log)?;
+        }
+        let before = std::mem::take(&mut state.views);
+        let step = self.step(frame, &before, &now);
+        let prediction = self.method.predict(&step, &mut state.scene, log);
+        prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
+        predicted(&step, &state.scene)?;
+        if self.method.births() {
+            self.add_newborn(frame, &mut state.scene, &now, log)?;
+        }
+        let known = Predicted::new(&state.scene, &self.config.dynamic);
+        let finetuning = self.method.finetune(&step, &mut state.scene, log);
+        match finetuning.with_context(|| self.named(&format!("finetuning of frame {frame}")))? {
+            Finetuning::ByLanes => {
+                let prior = known.as_ref().map(Predicted::prior);
+                let start = FrameStart { frame, dynamic_lane: self.config.dynamic, prior, views: &now };
+                self.train_lanes(&start, &mut state, log)?;
+                self.train_disoccluded(frame, &mut state, &now, log)?;
+                self.learn(&mut state.scene, known.as_ref(), &now, log);
+            }
+            Finetuning::Done => {}
+        }
+        state.views = now;
+        Ok(state)
+    }
+
+    /// Finetunes a first frame that was trained less.
+    fn finetune_first(
+        &self,
+        frame: usize,
+        state: &mut State,
+        iterations: usize,
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let dynamic_lane = DynamicLaneConfig { iterations, ..self.config.dynamic };
+        let known = Predicted::new(&state.scene, &dynamic_lane);
+        let prior = known.as_ref().map(Predicted::prior);
+        let views = std::mem::take(&mut state.views);
+        self.train_lanes(&FrameStart { frame, dynamic_lane, prior, views: &views }, state, log)?;
+        self.learn(&mut state.scene, known.as_ref(), &views, log);
+        state.views = views;
+        Ok(())
+    }
+}
