@@ -1,3 +1,5 @@
+//! An n-dimensional array in memory, as numpy files hold it: a shape and entries in C order.
+
 use crate::{ArraysError, Cause};
 use std::path::{Path, PathBuf};
 

@@ -1,3 +1,5 @@
+//! The types that entries of a numpy array are converted to; a value that the type cannot hold is refused, not rounded away.
+
 mod sealed {
     pub trait Sealed {}
     impl Sealed for f32 {}

@@ -1,3 +1,5 @@
+//! Errors of numpy files. Each names the file, the array in it and the cause, because files come from other programs.
+
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! The header of an npy file: version, dtype and shape. Shapes of damaged files are checked before they are multiplied.
+
 use crate::Cause;
 use std::io::{self, ErrorKind, Read};
 

@@ -1,3 +1,5 @@
+//! Reading of one npy array, block by block, within a limit of memory that the caller sets.
+
 use crate::array::{fits, shape_text};
 use crate::header::{Dtype, Header};
 use crate::{Array, ArraysError, Cause, Element};

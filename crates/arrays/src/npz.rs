@@ -1,3 +1,5 @@
+//! Archives of arrays (npz): the directory is read at once, each array when it is asked for.
+
 use crate::npy::{Accepted, MAX_BYTES, read_array};
 use crate::{Array, ArraysError, Cause, Element};
 use ffgs_core::open_input;

@@ -1,3 +1,5 @@
+//! Writing of npz archives whose bytes depend on the arrays alone, so that runs can be compared by checksum.
+
 use crate::ArraysError;
 use ffgs_core::write_atomically;
 use std::fs::File;

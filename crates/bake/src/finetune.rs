@@ -1,3 +1,5 @@
+//! A short training of an export as its viewer draws it, without opacity compensation; positions and rotations stay.
+
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{

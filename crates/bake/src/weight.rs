@@ -1,3 +1,5 @@
+//! Opacities for viewers without compensation, such that each Gaussian blends as much into the pictures as before.
+
 use ffgs_core::{Camera, Gaussians, logit, sigmoid};
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, View};
 use std::ops::Range;

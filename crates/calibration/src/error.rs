@@ -1,3 +1,5 @@
+//! Errors of calibrations and of the pictures that belong to them. Each names the file and says what to do.
+
 use ffgs_arrays::ArraysError;
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+//! What a calibration says of footage: its cameras, points and units. Every format is turned into this.
+
 use crate::Lens;
 use glam::{DMat4, DVec3};
 use std::path::PathBuf;

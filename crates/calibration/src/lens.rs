@@ -1,3 +1,5 @@
+//! Lens distortion: the models of OpenCV and Kannala-Brandt, from a ray to a pixel.
+
 use ffgs_core::{ImageSize, Intrinsics};
 use glam::DVec2;
 

@@ -1,3 +1,5 @@
+//! The videos and folders of images below a folder, to which a calibration's cameras are assigned by name.
+
 use crate::{CalibrationError, Pictures};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;

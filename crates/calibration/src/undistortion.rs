@@ -1,3 +1,5 @@
+//! From a photograph with lens distortion to a pinhole image, as the rasterizer assumes it, in one resampling.
+
 use crate::Lens;
 use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask};
 use glam::DVec2;

@@ -1,3 +1,5 @@
+//! Files that are complete or absent: written beside their place, synchronised, and renamed. Resuming relies on it.
+
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::Path;

@@ -1,3 +1,5 @@
+//! Pinhole cameras: image size, intrinsics, pose, projection and rays (conventions of docs/CONVENTIONS.md).
+
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

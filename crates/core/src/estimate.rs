@@ -1,3 +1,5 @@
+//! What trackers measured and what triangulation made of it: displaced projections in, positions with covariances out.
+
 use glam::{DMat3, DVec2, DVec3};
 
 /// What one tracker says of every Gaussian in every view: displaced projections with weights.

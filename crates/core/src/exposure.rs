@@ -1,3 +1,5 @@
+//! The exposure of a camera as an offset of the log odds of its colours; removed from photographs, applied to renders.
+
 use crate::{ImageRgb8, PlanarImage};
 
 /// How a camera's colours differ from those that all cameras of a capture share: one offset of the log odds `ln(v / (1 - v))` per

@@ -1,3 +1,5 @@
+//! Gaussians as a structure of arrays: the columns that training changes and splat files hold.
+
 use glam::DVec3;
 use thiserror::Error;
 

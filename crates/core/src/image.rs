@@ -1,3 +1,5 @@
+//! Images: 8-bit sRGB as they are on disk, and planes of f32 as the rasterizer and the losses compute.
+
 use crate::ImageSize;
 
 /// An 8-bit sRGB image, interleaved; images are kept in this form and converted tile by tile.

@@ -1,3 +1,5 @@
+//! Opening of files that others wrote, with limits: a folder, a pipe or an endless file under the expected name is an error.
+
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;

@@ -1,3 +1,5 @@
+//! Which SIMD instruction set the machine has; numerical loops choose it at run time.
+
 use pulp::Arch;
 use std::sync::LazyLock;
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! Binary foreground masks, and their dilation.
+
 use crate::ImageSize;
 
 /// A binary foreground mask, one byte per pixel, 0 or 1.

@@ -1,3 +1,5 @@
+//! Motion in the image plane: sparse tracks of one view, and the dense field of flow, visibility and confidence made of them.
+
 use crate::ImageSize;
 use serde::{Deserialize, Serialize};
 

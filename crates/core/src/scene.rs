@@ -1,3 +1,5 @@
+//! The scene at one frame: static layer, dynamic layer, sky, and what is known of them from earlier frames.
+
 use crate::{Gaussians, SkyCube};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+//! The sky as a cube map at infinity, behind all Gaussians.
+
 /// The sky: a cube map at infinity. Faces in the order +x, -x, +y, -y, +z, -z of the world with OpenGL's orientation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SkyCube {

@@ -1,3 +1,5 @@
+//! Times, counts of what was skipped, and warnings of the stages of one frame, by name.
+
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;

@@ -1,3 +1,5 @@
+//! A photograph with its camera and mask, and its reduction by whole blocks of pixels.
+
 use crate::{Camera, ImageRgb8, ImageSize, Mask};
 use std::borrow::Cow;
 

@@ -1,3 +1,5 @@
+//! Errors of a capture and its files. Each names the file and says what to do.
+
 use ffgs_arrays::ArraysError;
 use ffgs_core::{CameraError, ImageSize};
 use std::io;

@@ -1,4 +1,4 @@
-//! Initial points.
+//! Initial points of a capture: positions and colours, from which the first frame is trained.
 
 use crate::error::DatasetError;
 use ffgs_arrays::NpzFile;

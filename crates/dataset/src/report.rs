@@ -1,3 +1,5 @@
+//! What the check of a capture found: its inventory, its faults, and notes on what the method can go on without.
+
 use ffgs_core::ImageSize;
 use ffgs_method::{Fault, Split};
 use std::fmt;

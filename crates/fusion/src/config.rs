@@ -1,3 +1,5 @@
+//! Settings of the fusion: the prior's model, the process noise, and whether neighbours inform each other.
+
 use crate::groups::GroupsConfig;
 use crate::neighbourhoods::StructureConfig;
 use serde::{Deserialize, Serialize};

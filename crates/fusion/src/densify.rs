@@ -1,3 +1,5 @@
+//! Growth by uncertainty: which Gaussians are split because their positions are least certain (Algorithm 1, line 42).
+
 use ffgs_core::{Gaussians, logit, sigmoid};
 use glam::{DMat3, Quat, Vec3};
 use rand::{Rng, SeedableRng};

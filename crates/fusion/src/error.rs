@@ -1,3 +1,5 @@
+//! Errors that make a whole batch unusable. A single Gaussian that fails has a status instead.
+
 use thiserror::Error;
 
 /// Why a whole batch could not be processed.

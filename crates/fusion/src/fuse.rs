@@ -1,3 +1,5 @@
+//! The fusion of all trackers with the prior, by their precisions: the information form of a Kalman update.
+
 use crate::config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use crate::error::FusionError;
 use crate::evidence::{Evidence, robust_weight};

@@ -1,3 +1,5 @@
+//! What the fusion of one frame reads, by column.
+
 use crate::cell_views::ViewObservations;
 use ffgs_core::Estimates;
 use glam::{DMat3, DVec3};

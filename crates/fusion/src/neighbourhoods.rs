@@ -1,3 +1,5 @@
+//! Rigid motions of neighbourhoods, fitted robustly to the trackers' measurements, as the prior of single Gaussians.
+
 use crate::error::FusionError;
 use crate::evidence::{MEDIAN_CHI2, MEDIAN_LENGTH, MIN_SCALE};
 use crate::process_noise::median;

@@ -1,3 +1,5 @@
+//! What the fusion asks of the photographs, without knowing how it is computed: the corrections of rigid groups.
+
 use crate::groups::Groups;
 use glam::DVec3;
 

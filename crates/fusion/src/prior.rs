@@ -1,3 +1,5 @@
+//! The prior of one Gaussian: where it is expected at t, and how surely.
+
 use crate::symmetric::Symmetric;
 use glam::{DQuat, DVec3};
 

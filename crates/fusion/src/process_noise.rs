@@ -1,3 +1,5 @@
+//! The process noise, learnt per frame: how far Gaussians went from where the prior expected them.
+
 use ffgs_core::{EstimateStatus, Estimates};
 use glam::DVec3;
 use std::collections::BTreeMap;

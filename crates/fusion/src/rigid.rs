@@ -1,3 +1,5 @@
+//! Rigid motions, and their weighted least-squares fit to pairs of points.
+
 use glam::{DQuat, DVec3};
 use nalgebra::{Matrix4, SymmetricEigen};
 

@@ -1,3 +1,5 @@
+//! Validation by masks: a Gaussian of the dynamic layer has to lie in the masks of the views that see it (Algorithm 1, lines 35 to 40).
+
 use crate::error::FusionError;
 use crate::process_noise::median;
 use crate::view_counts::{ViewCounts, count_views};

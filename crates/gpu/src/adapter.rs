@@ -1,3 +1,5 @@
+//! The adapters of this machine: which are usable, why others are not, and which is chosen.
+
 use crate::GpuError;
 use std::fmt;
 use std::path::Path;

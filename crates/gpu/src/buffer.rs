@@ -1,3 +1,5 @@
+//! Memory on the device, counted, and given back when its last owner is dropped.
+
 use crate::GpuError;
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+//! Times of single kernels on the device, for benchmarks.
+
 /// Most kernels of one measured submission: WebGPU's limit of 4096 timestamps per set, two per kernel.
 pub(crate) const MOST_KERNELS: usize = 2048;
 

@@ -1,3 +1,5 @@
+//! Kernels and copies gathered into one submission, in order.
+
 use crate::clock::Clock;
 use crate::{Buffer, Gpu, GpuError, Kernel};
 

@@ -1,3 +1,5 @@
+//! An opened adapter: its buffers, uniforms, pipelines and submissions, and what happens when it is lost.
+
 use crate::adapter::{self, AdapterReport};
 use crate::buffer::{Buffer, Memory, checked_size};
 use crate::{GpuError, Kernel};

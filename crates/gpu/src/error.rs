@@ -1,3 +1,5 @@
+//! Errors of the device: no adapter, too little memory, a lost device, a wrong kernel.
+
 use thiserror::Error;
 
 /// Why the GPU cannot do what was asked.

@@ -1,3 +1,5 @@
+//! Kernels by name: the text of a shader with its shared pieces, taken into the program when it is built.
+
 /// Text of a file below a crate's `shaders/`, taken at build time: a missing file does not build, and an old one cannot be
 /// shipped.
 #[macro_export]

@@ -1,3 +1,5 @@
+//! Submissions whose kernels are timed one by one, for benchmarks.
+
 use crate::clock::{Clock, KernelTime, MOST_KERNELS};
 use crate::{Commands, Gpu, GpuError};
 

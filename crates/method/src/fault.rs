@@ -1,3 +1,5 @@
+//! The error of a plug-in that reads or writes files: which file, what is wrong, what to do.
+
 use std::fmt;
 use std::path::{Path, PathBuf};
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! PSNR over the whole image and over the foreground.
+
 use crate::{SizeMismatch, same_size};
 use ffgs_core::{ImageRgb8, Mask, PlanarImage};
 use rayon::prelude::*;

@@ -1,3 +1,5 @@
+//! True optical flow of a rendered capture, and the errors of motion fields against it.
+
 use crate::score::quantile;
 use ffgs_arrays::{ArraysError, NpzFile};
 use ffgs_core::{DenseMotion, ImageSize, Mask, is_present};

@@ -1,3 +1,5 @@
+//! Errors of estimated positions, and whether their covariances are calibrated.
+
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 

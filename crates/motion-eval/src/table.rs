@@ -1,3 +1,5 @@
+//! The table of scores as text.
+
 use crate::score::Summary;
 use std::fmt::Write as _;
 

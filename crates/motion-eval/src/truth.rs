@@ -1,3 +1,5 @@
+//! The ground truth of a rendered capture: rigid parts with their poses, and where each surface point truly moves.
+
 use ffgs_arrays::{ArraysError, NpzFile};
 use glam::{DAffine3, DMat4, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};

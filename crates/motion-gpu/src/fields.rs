@@ -1,3 +1,5 @@
+//! Motion fields and their agreement on the device, over the masked pixels of one view.
+
 use crate::kernels;
 use crate::layout::{DensifyUniform, FieldsUniform, UnpackUniform};
 use crate::packed::Packed;

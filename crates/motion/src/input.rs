@@ -1,3 +1,5 @@
+//! What the stages of the motion initialisation read of one frame.
+
 use crate::MotionConfig;
 use ffgs_core::Gaussians;
 use ffgs_method::{Step, TrackSource};

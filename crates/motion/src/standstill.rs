@@ -1,3 +1,5 @@
+//! The method `none`: every Gaussian starts where the last frame ended, so that training alone follows the motion.
+
 use anyhow::Result;
 use ffgs_core::{Scene, StageLog};
 use ffgs_method::{MotionMethod, Step};

@@ -1,3 +1,5 @@
+//! The paper's method: the sequence from observations to the fused, validated and grown dynamic layer.
+
 use crate::alignment::Aligned;
 use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;

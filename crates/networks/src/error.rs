@@ -1,3 +1,5 @@
+//! Errors of networks, descriptions and their library. Each names the file and says what to do.
+
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 

@@ -1,3 +1,5 @@
+//! A loaded network, and what it computes for two photographs: flow or matches in pixels of the photographs.
+
 use crate::output::{Matches, Tensor, flow, tracks};
 use crate::picture::{Fit, channels};
 use crate::{Description, FlowOutput, Input, Join, Layout, MatchOutput, NetworkError, library};

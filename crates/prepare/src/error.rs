@@ -1,3 +1,5 @@
+//! Errors of the preparation of footage. Each names the file or the camera.
+
 use ffgs_arrays::ArraysError;
 use ffgs_calibration::CalibrationError;
 use ffgs_dataset::DatasetError;

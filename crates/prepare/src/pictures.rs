@@ -1,4 +1,4 @@
-//! Picture files.
+//! Picture files of footage and captures: read and written, with errors that name the file.
 
 use crate::PrepareError;
 use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, write_atomically};

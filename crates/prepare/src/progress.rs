@@ -1,3 +1,5 @@
+//! How a caller follows the preparation.
+
 /// Told how far a step is; called from any thread.
 pub trait Progress: Sync {
     /// `done` of `total` parts of a step are finished.

@@ -1,3 +1,5 @@
+//! Removal of files that may be missing.
+
 use crate::PrepareError;
 use std::fs;
 use std::path::Path;

@@ -1,3 +1,5 @@
+//! What is to be prepared, from which footage, into which capture.
+
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;

@@ -1,3 +1,5 @@
+//! Captures for Python: cameras, images, masks and points as numpy arrays.
+
 use crate::arrays::array;
 use crate::failed;
 use ffgs_core::{Camera, ImageSize, Intrinsics};

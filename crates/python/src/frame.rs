@@ -1,3 +1,5 @@
+//! Reconstructed frames for Python: their columns, renders, and a short training.
+
 use crate::arrays::{array, rows};
 use crate::capture::{PyCapture, camera_dict, camera_of};
 use crate::failed;

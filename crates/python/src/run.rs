@@ -1,3 +1,5 @@
+//! Finished runs for Python.
+
 use crate::failed;
 use crate::frame::Frame;
 use ffgs_pipeline::finished_run::FinishedRun;

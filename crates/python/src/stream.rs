@@ -1,3 +1,5 @@
+//! 4D streams for Python.
+
 use crate::failed;
 use crate::frame::{Frame, Sky};
 use anyhow::Result;

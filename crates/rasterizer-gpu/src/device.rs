@@ -1,3 +1,5 @@
+//! A device that keeps the layers it was given, so that a static layer is uploaded once per frame at most.
+
 use crate::scene::GpuScene;
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Gpu, GpuError};

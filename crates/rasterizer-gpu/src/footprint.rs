@@ -1,3 +1,5 @@
+//! Sums over the footprint of every Gaussian, and the strongest contributors of every pixel, on the device.
+
 use crate::kernels;
 use crate::rasterize::GpuRasterizer;
 use crate::scene::GpuScene;

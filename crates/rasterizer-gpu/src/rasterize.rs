@@ -1,3 +1,5 @@
+//! Renders whose result is wanted on the host: single stages, pictures and tests.
+
 use crate::encode;
 use crate::layout::Ledger;
 use crate::scene::{GpuGradients, GpuScene};

@@ -1,3 +1,5 @@
+//! Gaussians in the memory of the device: upload, joining and download.
+
 use crate::layout::{Geometry, Ledger};
 use ffgs_core::{Gaussians, sh_coefficients};
 use ffgs_gpu::{Buffer, Gpu, GpuError};

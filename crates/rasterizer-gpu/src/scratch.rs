@@ -1,3 +1,5 @@
+//! The working memory of a render, and how it grows when a view turns out to need more.
+
 use crate::layout::{Job, SPLAT_BYTES, plan};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
 use ffgs_rasterizer::constants::ENTRY;

@@ -1,3 +1,5 @@
+//! A view in the memory of the device: camera, tiles, and the layers behind and in front of the Gaussians.
+
 use crate::layout::ViewUniform;
 use ffgs_core::{Camera, ImageSize, PlanarImage};
 use ffgs_gpu::{Buffer, Gpu, GpuError};

@@ -1,3 +1,5 @@
+//! Random omission of Gaussians during training with few cameras (DropGaussian).
+
 /// A random part of the Gaussians is left out, and the others' opacities are raised so that the expectation stays: training
 /// so keeps views that few photographs show from being explained by Gaussians that only one of them needs (Park et al.,
 /// "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025).

@@ -1,3 +1,5 @@
+//! Derivatives of a loss: what the backward pass takes in, and what it returns per Gaussian and parameter.
+
 use ffgs_core::{Gaussians, PlanarImage};
 use glam::{DMat3, DVec3};
 

@@ -1,3 +1,5 @@
+//! What is rendered and how: a camera, its background, the tiles to compute, and the options.
+
 use crate::dropout::Dropout;
 use crate::tiles::TileMask;
 use ffgs_core::{Camera, PlanarImage};

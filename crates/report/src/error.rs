@@ -1,3 +1,5 @@
+//! Errors of writing a report.
+
 use std::io;
 use std::path::PathBuf;
 use thiserror::Error;

@@ -1,3 +1,5 @@
+//! All that a report shows, as data.
+
 use ffgs_core::Seconds;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

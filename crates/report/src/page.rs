@@ -1,3 +1,5 @@
+//! The page itself: the template filled in, and the pictures of all frames copied behind it.
+
 use crate::motion_plots::motion_plots;
 use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};

@@ -1,3 +1,5 @@
+//! The moving objects of a simulation: surface points with their true motion.
+
 use glam::{DQuat, DVec3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

@@ -1,3 +1,5 @@
+//! Arrangements of simulated cameras, from a full circle to nearly parallel rays.
+
 use crate::normal;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use glam::{DMat3, DMat4, DVec3};

@@ -1,3 +1,5 @@
+//! Simulated trackers: displaced projections with smooth, white and gross errors.
+
 use crate::objects::Cloud;
 use crate::rig::Cameras;
 use crate::{Recipe, normal};

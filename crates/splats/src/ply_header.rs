@@ -1,3 +1,5 @@
+//! The header of a PLY file: its encoding, elements and properties.
+
 use crate::{Problem, RenderMode};
 use std::io::{BufRead, Read};
 

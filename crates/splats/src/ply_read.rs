@@ -1,3 +1,5 @@
+//! Reading of PLY splats, ASCII or binary, of any SH degree; damaged files are refused.
+
 use crate::error::InFile;
 use crate::ply_header::{Element, Encoding, Property, Scalar, read_header};
 use crate::{Problem, SplatError};

@@ -1,3 +1,5 @@
+//! Writing of PLY splats as 3DGS has them, with covariances and ids as further properties.
+
 use crate::error::InFile;
 use crate::format::Format;
 use crate::ply_header::ply_comment;

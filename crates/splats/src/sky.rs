@@ -1,3 +1,5 @@
+//! The sky as a picture: a cross of the cube's faces, and an equirectangular panorama for players.
+
 use crate::error::InFile;
 use crate::{Problem, SplatError};
 use ffgs_core::write_atomically;

@@ -1,3 +1,5 @@
+//! Errors of streams. Each names the file.
+
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;

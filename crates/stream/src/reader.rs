@@ -1,3 +1,5 @@
+//! The reference decoder of the 4D stream, in order or at random (docs/STREAM.md).
+
 use crate::changed_rows::decode_rows;
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{Tag, decode, is_listed};

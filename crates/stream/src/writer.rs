@@ -1,3 +1,5 @@
+//! The encoder of the 4D stream: key frames, and between them motions of groups, residuals, births and deaths (docs/STREAM.md).
+
 use crate::changed_rows::{count, encode_rows};
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{Tag, checksum, encode};

@@ -1,3 +1,5 @@
+//! Reference cases: inputs and the results of independent implementations, from `fixtures/reference`.
+
 use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use glam::{DMat3, DMat4, DVec3};

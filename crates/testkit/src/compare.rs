@@ -1,3 +1,5 @@
+//! Comparisons of numbers that fail on NaN.
+
 /// Largest magnitude; infinite when a value is NaN (`f64::max` would drop it), 0 without values.
 pub fn largest(values: impl IntoIterator<Item: Into<f64>>) -> f64 {
     let magnitude = |value: f64| if value.is_nan() { f64::INFINITY } else { value.abs() };

@@ -1,3 +1,5 @@
+//! Normal random numbers for tests.
+
 use glam::DVec3;
 use rand::Rng;
 

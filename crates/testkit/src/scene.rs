@@ -1,3 +1,5 @@
+//! Camera poses for tests.
+
 use glam::{DMat3, DMat4, DVec3};
 
 /// `camera_from_world` of a camera at `eye` that looks at `at` and holds the world's z axis up (OpenCV axes).

@@ -1,3 +1,5 @@
+//! Code run with a chosen instruction set, so that tests can compare all that the machine has.
+
 use pulp::{Simd, WithSimd};
 
 /// Runs `op` with an instruction set: 0 = scalar, 1 = AVX2, 2 = AVX-512. `None` where the machine lacks it.

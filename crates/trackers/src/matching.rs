@@ -1,3 +1,5 @@
+//! Nearest neighbours among descriptors, and how clearly the nearest is ahead of the second.
+
 use crate::Descriptor;
 use ffgs_core::instructions;
 use pulp::{Simd, WithSimd};

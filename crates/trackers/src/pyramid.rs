@@ -1,3 +1,5 @@
+//! Image pyramids: grey levels and derivatives at halved sizes, for motions larger than a window.
+
 use ffgs_core::kernel::{Kernel, dispatch};
 use ffgs_core::{ImageRgb8, ImageSize};
 

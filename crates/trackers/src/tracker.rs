@@ -1,3 +1,5 @@
+//! The tracker itself: corners, matches and pyramidal Lucas-Kanade between two photographs, checked forwards and backwards.
+
 use crate::corners::corners;
 use crate::descriptors::{Descriptor, describe};
 use crate::lucas_kanade::track;

@@ -1,3 +1,5 @@
+//! Errors of tracker files and of their list. Each names the file.
+
 use ffgs_arrays::ArraysError;
 use ffgs_core::ImageSize;
 use ffgs_method::Fault;

@@ -1,3 +1,5 @@
+//! The training backend of a GPU, as the loops of `trainer` use it.
+
 use crate::layer::GpuLayer;
 use crate::sky_training::GpuSkyTraining;
 use ffgs_gpu::GpuError;

@@ -1,3 +1,5 @@
+//! A layer under training on the device: one submission per step, nothing is read back.
+
 use crate::optimiser::Optimiser;
 use crate::prior::GpuPrior;
 use crate::sky::GpuSky;

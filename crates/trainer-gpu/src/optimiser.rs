@@ -1,3 +1,5 @@
+//! Adam on the device: gradients, moments and the change of rows by density control.
+
 use crate::kernels;
 use crate::layout::{AdamUniform, CarryUniform};
 use ffgs_core::Gaussians;

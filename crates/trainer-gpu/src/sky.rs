@@ -1,3 +1,5 @@
+//! The sky in the memory of the device, with its gradient and moments.
+
 use crate::kernels;
 use crate::layout::SkyUniform;
 use crate::target::Target;

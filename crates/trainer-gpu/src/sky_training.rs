@@ -1,3 +1,5 @@
+//! The training of the sky on the device.
+
 use crate::kernels;
 use crate::sky::GpuSky;
 use crate::target::{Selection, Target};

@@ -1,3 +1,5 @@
+//! A photograph in the memory of the device, with its view and the pixels that count.
+
 use crate::layout::LossUniform;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_gpu::{Buffer, Gpu, GpuError};

@@ -1,3 +1,5 @@
+//! What all steps of a training on the device share: kernels, working memory and the running loss.
+
 use crate::kernels;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};

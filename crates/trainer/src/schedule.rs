@@ -1,3 +1,5 @@
+//! The schedule of a training: the order in which views are drawn, and how step sizes decay.
+
 use crate::adam::LearningRates;
 use crate::backend::Training;
 use crate::view::Progress;

@@ -1,3 +1,5 @@
+//! Settings of the triangulation; `literal` is Algorithm 1 without our additions.
+
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`crate::WeightedRays`]; [`TriangulationConfig::literal`] is Algorithm 1 without our additions.

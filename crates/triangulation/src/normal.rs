@@ -1,3 +1,5 @@
+//! Symmetric 3x3 normal systems, one per SIMD lane.
+
 use crate::simd::{F64s, LaneMask, dot};
 use pulp::Simd;
 

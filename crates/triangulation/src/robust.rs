@@ -1,3 +1,5 @@
+//! The robust start of a triangulation: which views agree with each other, and where.
+
 use crate::normal::Normal;
 use crate::passes::{Agreement, RayWeights, squared_error};
 use crate::simd::{F64s, LaneMask, Lanes, MAX_LANES, all3, dot, minus};

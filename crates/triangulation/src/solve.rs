@@ -1,3 +1,5 @@
+//! The triangulation of one batch of Gaussians, one per SIMD lane: start, outliers, Gauss-Newton steps, covariance.
+
 use crate::config::TriangulationConfig;
 use crate::normal::Normal;
 use crate::passes::{Fit, NEAR2, RayWeights};

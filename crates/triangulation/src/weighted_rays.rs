@@ -1,3 +1,5 @@
+//! Triangulation of all Gaussians from the displaced projections of one tracker (Algorithm 1, lines 21 to 24), and its noise scale.
+
 use crate::config::TriangulationConfig;
 use crate::passes::RayWeights;
 use crate::robust::{self, Scales};

@@ -1,3 +1,5 @@
+//! Answers to requests: the token, the headers, ranges of files.
+
 use crate::range;
 use crate::site::{Content, Site};
 use std::io::{self, Read, SeekFrom, Write};

@@ -1,3 +1,5 @@
+//! What a server offers: paths, and where their bytes come from.
+
 use std::fmt;
 use std::fs::File;
 use std::io::{Cursor, Read, Seek};

@@ -1,3 +1,5 @@
+//! How far trackers agree at each pixel, as a factor of their confidence (Algorithm 1, line 12).
+
 use crate::MotionError;
 use crate::exponential::exp_negative;
 use crate::normalised::any;

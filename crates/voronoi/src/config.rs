@@ -1,3 +1,5 @@
+//! Settings of the densification of tracks, and the choice of the interpolator.
+
 use crate::normalised::any;
 use crate::{GaussianKnn, MotionError, MotionInterpolator, NaturalNeighbour};
 use ffgs_core::{DenseMotion, ImageSize, Mask, TrackSet};

@@ -1,3 +1,5 @@
+//! A fast exponential that loops over pixels can be vectorised with.
+
 /// `exp(-x)` for `x >= 0`, relative error below 1e-11; 0 beyond the normal numbers. No call, so that loops over it become
 /// vectors.
 #[inline(always)]

@@ -1,3 +1,5 @@
+//! Motion fields as the Gaussian-weighted mean of the nearest tracks (Algorithm 2).
+
 use crate::kernel_mean::{KernelMean, Mean, Values};
 use crate::nearest::{Candidate, Keys, KthNearest, LANES};
 use crate::normalised::{Normalisation, NormalisedTracks, RowBand, any, bands, check_sigma, prepare};

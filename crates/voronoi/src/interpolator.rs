@@ -1,3 +1,5 @@
+//! The contract of motion interpolation: sparse tracks in, a dense field with confidence out.
+
 use ffgs_core::{DenseMotion, ImageSize, Mask, TrackSet};
 use thiserror::Error;
 

@@ -1,3 +1,5 @@
+//! Motion fields by natural-neighbour interpolation on the Delaunay triangulation of the tracks.
+
 use crate::normalised::{Normalisation, NormalisedTracks, RowBand, bands, check_sigma, prepare};
 use crate::{IntegerCentredTracks, MotionError, MotionInterpolator};
 use ffgs_core::{DenseMotion, ImageSize, Mask};

@@ -1,3 +1,5 @@
+//! Tracks in the unit square, as Algorithm 2 has them, and what both interpolators share.
+
 use crate::{IntegerCentredTracks, MotionError};
 use ffgs_core::{DenseMotion, ImageSize, Mask};
 use kiddo::ImmutableKdTree;

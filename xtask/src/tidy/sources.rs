@@ -23,7 +23,8 @@ const MACHINE_WORDS: [&str; 5] = [
 
 /// Applies every rule to one file.
 pub(crate) fn check(source: &Source) -> Vec<Finding> {
-    let rules: [fn(&Source) -> Vec<Finding>; 7] = [
+    let rules: [fn(&Source) -> Vec<Finding>; 8] = [
+        headless,
         long_file,
         empty_names,
         leftovers,
@@ -33,6 +34,16 @@ pub(crate) fn check(source: &Source) -> Vec<Finding> {
         foreign_includes,
     ];
     rules.iter().flat_map(|rule| rule(source)).collect()
+}
+
+/// The first line says what the file holds and why.
+fn headless(source: &Source) -> Vec<Finding> {
+    let head = source.text.lines().next().and_then(|line| line.strip_prefix("//! "));
+    let missing = source.is("rs") && head.is_none_or(|text| text.split_whitespace().count() < 3);
+    missing
+        .then(|| format!("{}: no head; begin with //! and what the file holds", source.path))
+        .into_iter()
+        .collect()
 }
 
 fn long_file(source: &Source) -> Vec<Finding> {
@@ -118,8 +129,16 @@ mod tests {
 
     #[test]
     fn a_clean_file_has_no_finding() {
-        let clean = "//! Blends.\n\n// The helper of the eye is the lens.\nfn blend() -> f32 {\n    0.5\n}\n";
+        let clean = "//! Blends sorted splats.\n\n// The helper of the eye is the lens.\nfn blend() -> f32 {\n    0.5\n}\n";
         assert_eq!(check(&source("crates/a/src/blend.rs", clean)), Vec::<Finding>::new());
+    }
+
+    #[test]
+    fn a_file_without_a_head_is_found() {
+        let found = |text: &str| headless(&source("a.rs", text)).len();
+        assert_eq!(found("//! Alpha blending of sorted splats.\n\nuse a::b;\n"), 0);
+        assert_eq!(["use a::b;\n", "", "//!\n//! Late.\n", "//! Blends.\n"].map(found), [1, 1, 1, 1]);
+        assert!(headless(&source("a.md", "use")).is_empty());
     }
 
     #[test]

@@ -1,3 +1,5 @@
+//! The segmentation loss of Dynamic 3D Gaussians: Gaussians in the colours of foreground and background, compared with the masks.
+
 use crate::photographs::Comparison;
 use anyhow::Result;
 use ffgs_core::{Gaussians, ImageRgb8, Mask, SH_C0, TrainingView};

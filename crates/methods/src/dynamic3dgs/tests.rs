@@ -1,3 +1,5 @@
+//! Tests of Dynamic 3D Gaussians on a rigid cloud: what it follows, what it leaves alone, and resumption.
+
 use super::*;
 use crate::world::{World, advance, repeats};
 

@@ -1,3 +1,5 @@
+//! HiCoM's motion: grids of cubes over the scene, from coarse to fine, with one motion per cube.
+
 use crate::added::AddedConfig;
 use crate::deformation::{DELTA, Deformation, Deltas, MotionFitConfig};
 use crate::hicom::HicomConfig;

@@ -1,3 +1,5 @@
+//! Tests of HiCoM on a rigid cloud: what it follows, where its reach ends, and what a stored frame decodes to.
+
 use super::*;
 use crate::two_stages::Nodes;
 use crate::world::{World, advance, repeats};

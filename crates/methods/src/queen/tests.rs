@@ -1,3 +1,5 @@
+//! Tests of QUEEN on a rigid cloud: what it follows, which gates open, and what a stored frame decodes to.
+
 use super::*;
 use crate::world::{World, advance, repeats};
 use glam::Vec3;

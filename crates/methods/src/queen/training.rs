@@ -1,3 +1,5 @@
+//! One frame's training of QUEEN: residuals through their decoders, density control, and the gradients back to the latents.
+
 use super::QueenConfig;
 use super::residuals::{DECAY_STEPS, Residuals};
 use crate::photographs::{Photographs, frame_seed, view_order};

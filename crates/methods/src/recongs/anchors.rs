@@ -1,3 +1,5 @@
+//! ReCon-GS's motion: levels of anchors sampled from the Gaussians, with one motion each.
+
 use super::RecongsConfig;
 use crate::added::AddedConfig;
 use crate::deformation::{DELTA, Deformation, Deltas, MotionFitConfig, columns, unit};

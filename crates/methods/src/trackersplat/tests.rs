@@ -1,3 +1,5 @@
+//! Tests of TrackerSplat on a cloud with exact tracks: motion far beyond the gradient's reach, missing tracks, resumption.
+
 use super::*;
 use crate::world::{World, advance, repeats};
 use ffgs_core::StageLog;

@@ -1,3 +1,5 @@
+//! The rigid groups aligned with the photographs of t-1 and t, on behalf of the fusion.
+
 use super::align;
 use super::continuation::continued;
 use super::departures::departures;

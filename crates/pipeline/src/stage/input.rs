@@ -1,3 +1,5 @@
+//! The arrays that a single stage reads, checked: every error names the file and the array.
+
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use ffgs_arrays::{Array, Element, NpzFile};
 use ffgs_core::{Camera, ImageSize, Intrinsics};

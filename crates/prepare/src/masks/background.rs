@@ -1,3 +1,5 @@
+//! What a fixed camera sees where nothing moves: a colour and its spread per pixel, from samples over time.
+
 use super::continuation::continued;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use rayon::prelude::*;

@@ -1,3 +1,5 @@
+//! How much each pixel of a photograph differs from its background, with shadows discounted.
+
 use super::background::Background;
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};

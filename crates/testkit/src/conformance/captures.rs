@@ -1,3 +1,5 @@
+//! The conformance suite of capture formats.
+
 use super::{assert_names, in_1_and_8_threads};
 use ffgs_method::{Capture, CaptureFormat, Part, Split, ViewAt};
 use std::fs;

@@ -1,3 +1,5 @@
+//! The conformance suite of methods.
+
 use super::in_1_and_8_threads;
 use super::world::World;
 use ffgs_core::{Scene, StageLog};

@@ -1,3 +1,5 @@
+//! The conformance suite of splat formats.
+
 use super::{assert_names, in_1_and_8_threads};
 use ffgs_core::Gaussians;
 use ffgs_method::{RenderMode, SplatWriter, Splats};

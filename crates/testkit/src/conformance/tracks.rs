@@ -1,3 +1,5 @@
+//! The conformance suite of track formats.
+
 use super::{assert_names, in_1_and_8_threads};
 use ffgs_core::{ImageSize, ViewMotion};
 use ffgs_method::{PixelCenter, TrackFormat};

@@ -1,3 +1,5 @@
+//! A capture in memory with exact tracks: a rigid cloud of Gaussians in a ring of cameras, on which methods are tried.
+
 use crate::look_at;
 use ffgs_core::{
     Camera, Dynamic, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, Scene, SkyCube, TrackSet,

@@ -1,3 +1,5 @@
+//! A layer under training on the CPU: render, loss, backward pass and Adam, in place.
+
 use super::around::{Surrounding, TrainedSky};
 use super::cut::Cut;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training};

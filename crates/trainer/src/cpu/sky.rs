@@ -1,3 +1,5 @@
+//! The training of the sky on the CPU.
+
 use crate::backend::{SkyTask, SkyTraining, TaskView};
 use crate::background::SkyBehind;
 use crate::sky::sky_share;

@@ -1,3 +1,5 @@
+//! Tests of the loss against its definition in f64 and against finite differences.
+
 use super::*;
 
 const SIZE: ImageSize = ImageSize { width: 37, height: 29 };

@@ -1,3 +1,5 @@
+//! Which static Gaussians colour which pixels of a view, and with what weights: the coefficients of the linear solve.
+
 use super::Tracing;
 use ffgs_core::{Camera, Gaussians};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};

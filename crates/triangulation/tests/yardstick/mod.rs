@@ -1,3 +1,5 @@
+//! Random problems with known truth, and the maximum-likelihood estimate that solutions are measured by.
+
 use ffgs_core::{Camera, EstimateStatus, Estimates, Observations};
 use ffgs_triangulation::{TriangulationConfig, WeightedRays};
 use glam::{DMat3, DVec2, DVec3};
