@@ -5,11 +5,11 @@ use ffgs_calibration::detect;
 use ffgs_core::ImageSize;
 use ffgs_dataset::Capture;
 use ffgs_method::Split;
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::json::read_json;
-use ffgs_pipeline::lock::FolderLock;
-use ffgs_pipeline::manifest::Manifest;
-use ffgs_pipeline::record::FrameRecord;
+use ffgs_pipeline::job::lock::FolderLock;
+use ffgs_pipeline::job::manifest::Manifest;
+use ffgs_pipeline::outputs::json::read_json;
+use ffgs_pipeline::outputs::record::FrameRecord;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_prepare::{Request, Step, prepare};
 use ffgs_splats::{decode_spz, load_checkpoint, read_ply};
 use ffgs_stream::Reader;
@@ -161,7 +161,7 @@ fn state(bytes: &[u8]) -> bool {
     sealed.extend(crc32fast::hash(&sealed).to_le_bytes());
     [bytes, &sealed].iter().fold(false, |accepted, bytes| {
         let folder = folder("state.ffgs", bytes);
-        let _ = ffgs_pipeline::state::load(&folder.path().join("state.ffgs"), 0);
+        let _ = ffgs_pipeline::outputs::state::load(&folder.path().join("state.ffgs"), 0);
         accepted | load_checkpoint(&folder.path().join("state.ffgs")).is_ok()
     })
 }

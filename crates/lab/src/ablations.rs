@@ -7,8 +7,8 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use ffgs_fusion::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use ffgs_motion_eval::{Row, summarise, table};
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::terminal::progress;
+use ffgs_pipeline::cli::terminal::progress;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{Method, SourceFilter};
 use std::path::PathBuf;
@@ -90,7 +90,7 @@ pub fn run(args: &AblationArgs) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    ffgs_pipeline::terminal::print(table(&rows).trim_end());
+    ffgs_pipeline::cli::terminal::print(table(&rows).trim_end());
     Ok(())
 }
 

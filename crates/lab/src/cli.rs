@@ -8,7 +8,7 @@ use crate::simulate::{self, SimulateArgs};
 use crate::synthetic::{self, SyntheticArgs};
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use ffgs_pipeline::terminal;
+use ffgs_pipeline::cli::terminal;
 use std::process::ExitCode;
 
 /// Experiments on the motion initialisation, for developers and papers.

@@ -5,8 +5,8 @@ use anyhow::Result;
 use clap::Args;
 use ffgs_core::{Camera, DenseMotion, ImageRgb8, ImageSize, Intrinsics, Mask, TrackSet, ViewMotion};
 use ffgs_method::{Capture, Split, ViewAt, ViewStep};
-use ffgs_pipeline::args::LogArgs;
-use ffgs_pipeline::registry::open_capture;
+use ffgs_pipeline::cli::args::LogArgs;
+use ffgs_pipeline::plugins::registry::open_capture;
 use rayon::prelude::*;
 use std::path::PathBuf;
 

@@ -6,8 +6,8 @@ use clap::Args;
 use ffgs_core::Estimates;
 use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, ViewObservations};
 use ffgs_motion_eval::{Row, Sample, summarise, table};
-use ffgs_pipeline::args::LogArgs;
-use ffgs_pipeline::config::Config;
+use ffgs_pipeline::cli::args::LogArgs;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::WeightedRays;
 use glam::{DMat3, DVec3};
@@ -39,7 +39,7 @@ pub(crate) struct SimulateArgs {
 /// When the configuration cannot be read.
 pub(crate) fn run(args: &SimulateArgs) -> Result<()> {
     let rows = rows(args, &configuration(args.config.as_deref())?)?;
-    ffgs_pipeline::terminal::print(table(&rows).trim_end());
+    ffgs_pipeline::cli::terminal::print(table(&rows).trim_end());
     Ok(())
 }
 

@@ -2,13 +2,13 @@
 
 use ffgs_lab::evaluation::SourceArgs;
 use ffgs_lab::motion_eval::{self, MotionEvalArgs};
-use ffgs_pipeline::args::LogArgs;
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::device::Device;
-use ffgs_pipeline::folder::RunFolder;
-use ffgs_pipeline::json::read_json;
-use ffgs_pipeline::request::{FrameRange, RunRequest};
-use ffgs_pipeline::run::run;
+use ffgs_pipeline::cli::args::LogArgs;
+use ffgs_pipeline::job::device::Device;
+use ffgs_pipeline::job::request::{FrameRange, RunRequest};
+use ffgs_pipeline::job::run::run;
+use ffgs_pipeline::outputs::folder::RunFolder;
+use ffgs_pipeline::outputs::json::read_json;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_trainer::StaticMethod;
 use std::fs;
 use std::path::{Path, PathBuf};

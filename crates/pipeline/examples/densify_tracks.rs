@@ -4,7 +4,7 @@
 use anyhow::{Context, Result, bail};
 use ffgs_core::ViewMotion;
 use ffgs_method::{Split, ViewStep};
-use ffgs_pipeline::registry::open_capture;
+use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_voronoi::{VoronoiConfig, densify_view};
 use std::path::Path;
 

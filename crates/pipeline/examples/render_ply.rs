@@ -4,7 +4,8 @@
 use anyhow::{Context, Result};
 use ffgs_core::ImageRgb8;
 use ffgs_method::{Split, ViewAt};
-use ffgs_pipeline::{registry::open_capture, scoring::write_png};
+use ffgs_pipeline::outputs::scoring::write_png;
+use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use std::path::Path;
 

@@ -4,7 +4,8 @@
 use anyhow::{Context, Result, bail};
 use ffgs_core::SkyCube;
 use ffgs_method::RenderMode;
-use ffgs_pipeline::{frame, registry::open_capture};
+use ffgs_pipeline::job::frame;
+use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_trainer::{
     CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, camera_extent, from_points, train_first_frame,
 };

@@ -1,7 +1,7 @@
 //! Association while blending against the stage on lists of contributors, which the reference cases check.
 
 use ffgs_core::{Camera, DenseMotion, Gaussians, ImageSize, Intrinsics, Mask};
-use ffgs_pipeline::stage::contributors::{Footprints, associate};
+use ffgs_pipeline::commands::stage::contributors::{Footprints, associate};
 use ffgs_rasterizer::{
     Association, AssociationScene, AssociationScratch, Background, CpuRasterizer, Observed, RenderOptions,
     RenderTape, View,

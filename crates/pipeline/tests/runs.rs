@@ -2,16 +2,16 @@
 
 use ffgs_core::Exposure;
 use ffgs_method::{Split, ViewAt};
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::device::Device;
-use ffgs_pipeline::folder::RunFolder;
-use ffgs_pipeline::json::read_json;
-use ffgs_pipeline::record::{FrameRecord, Metrics};
-use ffgs_pipeline::registry::open_capture;
-use ffgs_pipeline::request::{FrameRange, RunRequest};
-use ffgs_pipeline::run::run;
-use ffgs_pipeline::scoring::write_png;
-use ffgs_pipeline::state;
+use ffgs_pipeline::job::device::Device;
+use ffgs_pipeline::job::request::{FrameRange, RunRequest};
+use ffgs_pipeline::job::run::run;
+use ffgs_pipeline::outputs::folder::RunFolder;
+use ffgs_pipeline::outputs::json::read_json;
+use ffgs_pipeline::outputs::record::{FrameRecord, Metrics};
+use ffgs_pipeline::outputs::scoring::write_png;
+use ffgs_pipeline::outputs::state;
+use ffgs_pipeline::plugins::registry::open_capture;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_trainer::StaticMethod;
 use std::fs;
 use std::path::{Path, PathBuf};

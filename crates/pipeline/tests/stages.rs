@@ -1,8 +1,8 @@
 //! Every stage alone, as `ffgs stage` runs it: reference cases (fixtures/reference) and inputs that cannot be used.
 
 use ffgs_arrays::{NpzFile, NpzWriter};
-use ffgs_pipeline::device::Device;
-use ffgs_pipeline::stage::{Form, Stage, run as run_on};
+use ffgs_pipeline::commands::stage::{Form, Stage, run as run_on};
+use ffgs_pipeline::job::device::Device;
 use ffgs_testkit::{largest, largest_difference, relative_difference};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@ use crate::arrays::array;
 use crate::failed;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use ffgs_method::{Capture, Split, ViewAt};
-use ffgs_pipeline::registry::open_capture;
+use ffgs_pipeline::plugins::registry::open_capture;
 use glam::DMat4;
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;

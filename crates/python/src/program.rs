@@ -9,10 +9,10 @@ use ffgs_core::StageLog;
 use ffgs_method::Capture;
 use ffgs_motion::Standstill;
 use ffgs_pipeline::cli::{Cli, Command};
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::device::Device;
-use ffgs_pipeline::frame::{first_views, select_views};
-use ffgs_pipeline::stage::{Form, Stage, run as run_stage};
+use ffgs_pipeline::commands::stage::{Form, Stage, run as run_stage};
+use ffgs_pipeline::job::device::Device;
+use ffgs_pipeline::job::frame::{first_views, select_views};
+use ffgs_pipeline::settings::config::Config;
 use ffgs_reconstruction::{Devices, Reconstructor, Silent, State};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -68,5 +68,5 @@ pub(crate) fn reconstruct(py: Python<'_>, words: Vec<String>) -> PyResult<PathBu
     let words = ["ffgs".to_owned(), "run".to_owned()].into_iter().chain(words);
     let cli = Cli::try_parse_from(words).map_err(|e| PyValueError::new_err(e.to_string()))?;
     let Command::Run(args) = cli.command else { return Err(PyValueError::new_err("not a run")) };
-    py.detach(|| args.request().and_then(|request| ffgs_pipeline::run::run(&request))).map_err(failed)
+    py.detach(|| args.request().and_then(|request| ffgs_pipeline::job::run::run(&request))).map_err(failed)
 }

@@ -2,7 +2,7 @@
 
 use crate::failed;
 use crate::frame::Frame;
-use ffgs_pipeline::finished_run::FinishedRun;
+use ffgs_pipeline::outputs::finished_run::FinishedRun;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use std::path::PathBuf;

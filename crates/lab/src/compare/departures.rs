@@ -1,6 +1,6 @@
 //! Our method's departures from the paper, one by one: the settings in which the default differs from the paper as printed.
 
-use ffgs_pipeline::config::Config;
+use ffgs_pipeline::settings::config::Config;
 use serde_json::Value;
 
 /// In a name of our method before the settings that are as printed.

@@ -2,7 +2,7 @@
 
 use super::results::{Compared, Outcome};
 use super::table::{Table, html as table_html};
-use ffgs_pipeline::record::Mean;
+use ffgs_pipeline::outputs::record::Mean;
 use ffgs_report::{Curve, curves, document};
 
 type Score = fn(&Mean) -> Option<f64>;

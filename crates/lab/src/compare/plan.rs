@@ -3,10 +3,10 @@
 use super::departures;
 use anyhow::{Result, anyhow, ensure};
 use ffgs_method::Plugin;
-use ffgs_pipeline::choice::MethodChoice;
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::registry::{METHODS, open_capture};
-use ffgs_pipeline::request::FrameRange;
+use ffgs_pipeline::job::request::FrameRange;
+use ffgs_pipeline::plugins::choice::MethodChoice;
+use ffgs_pipeline::plugins::registry::{METHODS, open_capture};
+use ffgs_pipeline::settings::config::Config;
 use std::path::{Path, PathBuf};
 
 /// A row of the tables.

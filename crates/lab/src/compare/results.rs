@@ -2,7 +2,7 @@
 
 use super::plan::Candidate;
 use super::table::Table;
-use ffgs_pipeline::record::{Mean, Metrics};
+use ffgs_pipeline::outputs::record::{Mean, Metrics};
 use std::collections::BTreeMap;
 
 /// A capture and the runs on it.
@@ -177,7 +177,7 @@ fn preparation(all: &[Compared]) -> Table {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use ffgs_pipeline::record::{FrameRecord, ViewMetrics};
+    use ffgs_pipeline::outputs::record::{FrameRecord, ViewMetrics};
 
     pub(in super::super) fn outcome(name: &str, budget: f64, psnr: f64, seconds: f64) -> Outcome {
         let frame = |frame| {

@@ -10,15 +10,16 @@ use ffgs_core::{
     ViewMotion,
 };
 use ffgs_method::{Split, ViewAt};
-use ffgs_pipeline::args::LogArgs;
-use ffgs_pipeline::config::Config;
-use ffgs_pipeline::device::Device;
-use ffgs_pipeline::folder::RunFolder;
-use ffgs_pipeline::json::write_json;
-use ffgs_pipeline::manifest::Manifest;
-use ffgs_pipeline::registry::open_capture;
-use ffgs_pipeline::request::{FrameRange, RunRequest};
-use ffgs_pipeline::{state, terminal};
+use ffgs_pipeline::cli::args::LogArgs;
+use ffgs_pipeline::cli::terminal;
+use ffgs_pipeline::job::device::Device;
+use ffgs_pipeline::job::manifest::Manifest;
+use ffgs_pipeline::job::request::{FrameRange, RunRequest};
+use ffgs_pipeline::outputs::folder::RunFolder;
+use ffgs_pipeline::outputs::json::write_json;
+use ffgs_pipeline::outputs::state;
+use ffgs_pipeline::plugins::registry::open_capture;
+use ffgs_pipeline::settings::config::Config;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use scene::{World, sh0};
@@ -244,7 +245,7 @@ fn write_first_frame(capture: &Path, run: &RunFolder, world: &World) -> Result<(
         quiet: true,
         config: Config::default(),
     };
-    let method = ffgs_pipeline::choice::MethodChoice::default();
+    let method = ffgs_pipeline::plugins::choice::MethodChoice::default();
     let manifest = Manifest::new(&request, &method, &*opened, &(0..1), "CPU".to_owned())?;
     write_json(&run.manifest(), &manifest)
 }
@@ -263,7 +264,7 @@ mod tests {
         assert!(run(&args).unwrap_err().to_string().contains("not empty"));
         let mut config = Config::default();
         config.dynamic.iterations = 20;
-        let report = ffgs_pipeline::run::run(&RunRequest {
+        let report = ffgs_pipeline::job::run::run(&RunRequest {
             capture: out.join("capture"),
             out: out.join("run"),
             resume: false,

@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use ffgs_core::{Scene, StageLog};
 use ffgs_method::{MotionMethod, Step};
-use ffgs_pipeline::method::Method;
+use ffgs_pipeline::plugins::method::Method;
 use glam::Vec3;
 use std::collections::BTreeMap;
 

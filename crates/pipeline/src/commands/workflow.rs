@@ -1,0 +1,187 @@
+//! `ffgs workflow`: captures, methods and seeds as jobs for Snakemake.
+
+use crate::cli::terminal;
+use crate::commands::segment::{Plan, PlanArgs};
+use crate::job::request::FrameRange;
+use crate::outputs::json::{read_json, write_json};
+use crate::plugins::choice::{MethodChoice, MethodParser};
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use ffgs_core::write_atomically;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// `ffgs workflow`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    long_about = "Writes a Snakemake workflow that reconstructs captures: first frame, scout, parts, joining, evaluation and \
+        export are jobs, and table.md compares all runs. The default method runs in parts (ffgs segment), another \
+        method as one job. A worker that is killed loses the frame it was at: its job goes on when Snakemake is started again, or \
+        at once with --retries. Snakemake is a Python package: pip install snakemake. The folder must be one that all machines \
+        see; of several workers on one job the later ones are refused.",
+    after_help = "Examples:\n  ffgs workflow CAPTURE --out out/farm --length 50\n  \
+        cd out/farm && snakemake --profile profiles/laptop --cores 2     # two jobs at a time here\n  \
+        snakemake --profile profiles/slurm                               # on a cluster; adapt the profile first\n  \
+        ffgs workflow CAPTURE CAPTURE --out out/all --length 50 --seeds 1,2 --methods trackers,hicom --gpus 0,1"
+)]
+pub struct WorkflowArgs {
+    /// Folders of captures
+    #[arg(required = true)]
+    captures: Vec<PathBuf>,
+    /// New folder for the workflow and all runs
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Frames from one key frame to the next
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(2..))]
+    length: u32,
+    /// Frames 0 to B, B left out: `..B`
+    #[arg(long, value_name = "A..B")]
+    frames: Option<FrameRange>,
+    /// Methods, each a run of its own
+    #[arg(long, value_name = "METHOD,METHOD", value_delimiter = ',', value_parser = MethodParser)]
+    methods: Vec<MethodChoice>,
+    /// Seeds, each a run of its own
+    #[arg(long, value_name = "N,N", value_delimiter = ',', default_value = "1")]
+    seeds: Vec<u64>,
+    /// Settings of all runs
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// GPUs of each machine, each for one job at a time; without, jobs run on the CPU
+    #[arg(long, value_name = "N,N", value_delimiter = ',')]
+    gpus: Vec<usize>,
+}
+
+/// The files beside config.json.
+const FILES: [(&str, &str); 6] = [
+    ("Snakefile", include_str!("../../workflow/Snakefile")),
+    ("lease.py", include_str!("../../workflow/lease.py")),
+    ("table.py", include_str!("../../workflow/table.py")),
+    ("profiles/laptop/config.yaml", include_str!("../../workflow/profiles/laptop/config.yaml")),
+    ("profiles/slurm/config.yaml", include_str!("../../workflow/profiles/slurm/config.yaml")),
+    ("profiles/kubernetes/config.yaml", include_str!("../../workflow/profiles/kubernetes/config.yaml")),
+];
+
+/// `config.json`.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Settings {
+    /// The program.
+    ffgs: PathBuf,
+    /// GPUs of a machine, separated by commas.
+    gpus: String,
+    runs: BTreeMap<String, RunJobs>,
+}
+
+/// A run: in parts, or one command.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct RunJobs {
+    /// Number of parts; 0 = none.
+    parts: usize,
+    /// Options of `ffgs run`, where there are no parts.
+    command: String,
+}
+
+/// Writes the workflow.
+///
+/// # Errors
+/// When a capture cannot be used, or the folder has another workflow.
+pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
+    let mut runs = BTreeMap::new();
+    for capture in &args.captures {
+        let path =
+            std::fs::canonicalize(capture).with_context(|| format!("no capture at {}", capture.display()))?;
+        for &seed in &args.seeds {
+            for method in args.chosen() {
+                let name =
+                    format!("{}-{method}-{seed}", path.file_name().unwrap_or_default().to_string_lossy());
+                ensure!(
+                    is_plain(&name),
+                    "{name}: folders of captures need names of letters, digits, '-', '_' and '.'"
+                );
+                let jobs = args.jobs(&path, &name, &method, seed)?;
+                ensure!(
+                    runs.insert(name.clone(), jobs).is_none(),
+                    "two captures are called {name}; rename one"
+                );
+            }
+        }
+    }
+    let gpus = args.gpus.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
+    let settings = Settings { ffgs: std::env::current_exe()?, gpus, runs };
+    let file = args.out.join("config.json");
+    let other = file.exists().then(|| read_json::<Settings>(&file)).transpose()?;
+    ensure!(
+        other.is_none_or(|other| other.runs == settings.runs),
+        "{} holds another workflow; choose another --out or remove it",
+        args.out.display()
+    );
+    for (name, text) in FILES {
+        put(&args.out.join(name), text)?;
+    }
+    write_json(&file, &settings)?;
+    terminal::print(format!(
+        "{}: {} runs; start them there with snakemake",
+        args.out.display(),
+        settings.runs.len()
+    ));
+    Ok(())
+}
+
+impl WorkflowArgs {
+    /// The methods; the default when none is named.
+    fn chosen(&self) -> Vec<MethodChoice> {
+        if self.methods.is_empty() { vec![MethodChoice::default()] } else { self.methods.clone() }
+    }
+
+    /// A run's jobs; the plan of its parts is written.
+    fn jobs(&self, capture: &Path, name: &str, method: &MethodChoice, seed: u64) -> Result<RunJobs> {
+        if *method == MethodChoice::default() {
+            let plan = Plan::new(&PlanArgs {
+                capture: capture.to_owned(),
+                out: self.out.join(name),
+                length: self.length,
+                frames: self.frames,
+                config: self.config.clone(),
+                seed: Some(seed),
+                ..PlanArgs::default()
+            })?;
+            plan.write(&self.out.join(name))?;
+            return Ok(RunJobs { parts: plan.parts().len(), command: String::new() });
+        }
+        let frames = self.frames.map_or(String::new(), |f| {
+            format!(" --frames {}..{}", f.start, f.end.map_or(String::new(), |end| end.to_string()))
+        });
+        let config = match &self.config {
+            Some(file) => format!(" --config '{}'", std::fs::canonicalize(file)?.display()),
+            None => String::new(),
+        };
+        let command =
+            format!("'{}' --out {name} --method {method} --seed {seed}{frames}{config}", capture.display());
+        Ok(RunJobs { parts: 0, command })
+    }
+}
+
+/// Whether a name is safe in a shell and in a pattern of Snakemake.
+fn is_plain(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_.:".contains(c);
+    !name.starts_with(['-', '.']) && name.chars().all(plain)
+}
+
+fn put(file: &Path, text: &str) -> Result<()> {
+    write_atomically(file, |out| out.write_all(text.as_bytes()))
+        .with_context(|| format!("cannot write {}", file.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_a_shell_would_take_apart_are_refused() {
+        assert!(is_plain("fairmont-mini-trackers-1") && is_plain("a-tracker:raft-2"));
+        for name in ["a b-1", "a;rm-1", "-x-1", "../up-1", "a'b-1"] {
+            assert!(!is_plain(name), "{name}");
+        }
+    }
+}

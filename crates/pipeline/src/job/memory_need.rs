@@ -1,0 +1,154 @@
+//! What a run will need of the machine's memory, told before it starts.
+//!
+//! The sums are those of docs/bench/README.md and depend on settings and capture alone: whatever the budget, a run that begins
+//! gives equal bytes.
+
+use crate::job::frame::{init_views, training_views};
+use crate::job::memory;
+use crate::job::request::RunRequest;
+use crate::outputs::folder::RunFolder;
+use crate::settings::config::Config;
+use anyhow::{Result, ensure};
+use ffgs_method::{Capture, Part, ViewAt};
+use std::path::Path;
+
+/// Bytes of a pixel's photograph and mask.
+const PIXEL: usize = 4;
+/// Bytes of a trained Gaussian: parameters, gradients, two moments.
+const GAUSSIAN: usize = 944;
+/// Bytes of a static Gaussian in the five vectors of the static solve.
+const SOLVED: usize = 960;
+/// Bytes of a pixel in the static solve, besides its contributors.
+const SOLVED_PIXEL: usize = 5;
+/// Bytes of a Gaussian in a state file, and of an initial point in its file, about.
+const SAVED: [u64; 2] = [240, 28];
+/// What the sums leave out, as a factor: 1.08 was measured at two fifths of the paper's size, and more on small captures.
+const REST: f64 = 1.25;
+/// The program itself (MiB).
+const PROGRAM: f64 = 50.0;
+
+/// Memory by what it is for (MiB).
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Need {
+    photographs: f64,
+    solve: f64,
+    gaussians: f64,
+}
+
+/// What the need depends on.
+#[derive(Clone, Copy, Debug)]
+struct Size {
+    /// Pixels of the training views, and of the views that only frame 0 has.
+    pixels: [usize; 2],
+    gaussians: usize,
+    /// Whether lanes train frames after the first.
+    streams: bool,
+}
+
+impl Need {
+    fn new(config: &Config, size: Size) -> Self {
+        let mib = |bytes: usize| bytes as f64 / f64::from(1 << 20);
+        let [training, initial] = size.pixels;
+        let background = &config.background;
+        let contributors = if size.streams { background.contributor_bytes(training) } else { 0 };
+        // Steps take none.
+        let solve = if contributors > 0 {
+            contributors + SOLVED_PIXEL * training + SOLVED * size.gaussians
+        } else {
+            0
+        };
+        Self {
+            // The frame and the one before it.
+            photographs: mib(PIXEL * (2 * training).max(training + initial)),
+            solve: mib(solve),
+            gaussians: mib(GAUSSIAN * size.gaussians),
+        }
+    }
+
+    fn total(&self) -> f64 {
+        REST * (self.photographs + self.solve + self.gaussians) + PROGRAM
+    }
+
+    /// What does not fit, and what to change.
+    fn told(&self, budget: f64) -> String {
+        let gib = |mib: f64| mib / 1024.0;
+        format!(
+            "the run needs about {:.1} GiB of memory and may take {:.1} GiB: {:.1} GiB for the photographs and masks of two \
+             frames, {:.1} GiB for Gaussians in training, {:.1} GiB for the static solve. Use fewer views (--train-views) or \
+             smaller images, lower background.solve_memory_mib, or set background.static_method to \"steps\"; or say with --memory how much it may take (MiB)",
+            gib(self.total()),
+            gib(budget),
+            gib(REST * self.photographs),
+            gib(REST * self.gaussians),
+            gib(REST * self.solve)
+        )
+    }
+}
+
+/// Refuses a run that needs more than it may take: `--memory`, else what the machine has free. Where the system does not tell,
+/// nothing is refused.
+///
+/// # Errors
+/// When it would not fit: what needs how much, and what to change. When a camera cannot be read.
+pub(crate) fn require(
+    request: &RunRequest,
+    capture: &dyn Capture,
+    views: &[usize],
+    streams: bool,
+) -> Result<()> {
+    let Some(budget) = request.memory.map(|mib| mib as f64).or_else(memory::free_mib) else { return Ok(()) };
+    let pixels = |views: &[ViewAt]| -> Result<usize> {
+        views.iter().map(|&at| Ok(capture.camera(at)?.size().pixels())).sum()
+    };
+    let start = request.frames.map_or(0, |frames| frames.start);
+    let pixels = [pixels(&training_views(views, start))?, pixels(&init_views(capture, start))?];
+    let gaussians = if let Some(run) = &request.first_frame {
+        contained(&RunFolder(run.clone()).state(start), SAVED[0])
+    } else {
+        let first = &request.config.first_frame;
+        let points = contained(&capture.part(Part::Points), SAVED[1]);
+        // All that start are Gaussians, also those beyond the limit of growth.
+        let started = if first.max_points == 0 { points } else { points.min(first.max_points) };
+        started.max(first.max_gaussians)
+    };
+    let need = Need::new(&request.config, Size { pixels, gaussians, streams });
+    ensure!(need.total() <= budget, need.told(budget));
+    tracing::debug!("about {:.0} MiB of memory, {budget:.0} MiB may be taken", need.total());
+    Ok(())
+}
+
+/// How many items of so many bytes a file has.
+fn contained(file: &Path, bytes: u64) -> usize {
+    std::fs::metadata(file).map_or(0, |info| (info.len() / bytes) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_trainer::StaticMethod;
+
+    const PAPER: Size = Size { pixels: [60 * 1920 * 1080, 0], gaussians: 1_200_000, streams: true };
+
+    #[test]
+    fn the_papers_size_needs_what_it_was_computed_to_need() {
+        let need = Need::new(&Config::default(), PAPER).total() / 1024.0;
+        assert!((7.0..10.0).contains(&need), "{need} GiB");
+    }
+
+    #[test]
+    fn what_is_told_to_change_makes_it_smaller() {
+        let config = Config::default();
+        let need = |config: &Config, size| Need::new(config, size).total();
+        let all = need(&config, PAPER);
+        let mut less = config;
+        less.background.solve_memory_mib = 1000;
+        assert!(need(&less, PAPER) < all, "fewer pixels are solved for");
+        less = config;
+        less.background.static_method = StaticMethod::Steps;
+        assert!(need(&less, PAPER) < all);
+        assert!(need(&config, Size { pixels: [20 * 1920 * 1080, 0], ..PAPER }) < all);
+        assert!(need(&config, Size { streams: false, ..PAPER }) < all);
+        let told = Need::new(&config, PAPER).told(2048.0);
+        assert!(told.contains("may take 2.0 GiB") && told.contains("background.solve_memory_mib"), "{told}");
+    }
+}
