@@ -2,13 +2,11 @@
 //!
 //! The covariances of the trackers are not read here, so a factor on them changes nothing.
 
-use crate::cell_views::{Departing, ViewObservations};
+use crate::cell_views::Departing;
 use crate::groups::Groups;
-use crate::photographs::Photographs;
+use crate::prediction::Departures;
 use crate::process_noise::median;
 use crate::symmetric::Symmetric;
-use glam::DVec3;
-use rayon::prelude::*;
 
 /// What one frame says of every Gaussian's flexibility, columns of length N.
 pub(crate) struct Flexibility {
@@ -48,24 +46,10 @@ impl Flexibility {
     }
 
     /// Of the cells of `groups`. `remembered` (N) is the evidence of the last frame, if there is any.
-    pub(crate) fn new(
-        previous: &[DVec3],
-        observed: &ViewObservations,
-        groups: &Groups,
-        photographs: &mut dyn Photographs,
-        remembered: Option<&[f64]>,
-    ) -> Self {
-        let mut out = Self::none(previous.len());
-        let departing = |range: &std::ops::Range<usize>| {
-            let members = groups.cells.members(range);
-            let motion = &groups.found[groups.of[*members.first()?]?].motion;
-            Departing::new(observed, previous, members, motion)
-        };
-        let departing: Vec<Option<Departing>> = groups.cells.leaves.par_iter().map(departing).collect();
-        let offsets: Vec<Option<DVec3>> = departing.iter().map(|d| Some(d.as_ref()?.offset)).collect();
-        let shown = photographs.departures(groups, &offsets);
+    pub(crate) fn new(groups: &Groups, departures: &Departures, remembered: Option<&[f64]>) -> Self {
+        let mut out = Self::none(groups.of.len());
         for group in 0..groups.found.len() {
-            let cells: Vec<Cell> = (groups.cells.leaves.iter().zip(&departing).zip(&shown))
+            let cells: Vec<Cell> = (groups.cells.leaves.iter().zip(&departures.cells).zip(&departures.odds))
                 .map(|((range, departing), &shown)| Cell {
                     members: groups.cells.members(range),
                     departing: departing.as_ref(),

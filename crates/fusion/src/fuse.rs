@@ -3,9 +3,9 @@
 use crate::config::{FusionConfig, PriorModel, ProcessNoise, Structure};
 use crate::error::FusionError;
 use crate::evidence::{Evidence, robust_weight};
-use crate::groups::Group;
+use crate::groups::{Group, Groups, discover};
 use crate::input::FusionInput;
-use crate::photographs::Photographs;
+use crate::prediction::{Departures, Prediction};
 use crate::prior::Prior;
 use crate::process_noise::{median_displacement, per_group};
 use crate::structure::{Structured, structured};
@@ -50,29 +50,38 @@ impl InformationFuser {
     /// # Errors
     /// [`FusionError`] when a column has the wrong length or an option lacks its input.
     pub fn fuse(&self, input: &FusionInput) -> Result<Fused, FusionError> {
-        self.fuse_with(input, &mut ())
+        let prediction = self.predict(input)?;
+        let departures = prediction.departures();
+        self.update(prediction, &departures)
     }
 
-    /// As [`fuse`](Self::fuse), with what `photographs` tell of the rigid groups before their members follow them.
+    /// The first half of [`fuse`](Self::fuse): where everything is expected, and what the trackers show of rigid groups.
     ///
     /// # Errors
     /// As [`fuse`](Self::fuse).
-    pub fn fuse_with(
-        &self,
-        input: &FusionInput,
-        photographs: &mut dyn Photographs,
-    ) -> Result<Fused, FusionError> {
+    pub fn predict<'a>(&self, input: &'a FusionInput<'a>) -> Result<Prediction<'a>, FusionError> {
         check(input)?;
-        let mut predicted = predict(input, &self.config)?;
-        let (q, evidence) = rayon::join(
-            || median_displacement(&predicted, input.estimates),
-            || Evidence::new(input.estimates),
-        );
+        let means = predict(input, &self.config)?;
+        let (q, evidence) =
+            rayon::join(|| median_displacement(&means, input.estimates), || Evidence::new(input.estimates));
         let q = q.unwrap_or(input.last_q).max(input.q_floor_m);
-        let q_of = process_noise(input, &predicted, &self.config, q)?;
+        let q_of = process_noise(input, &means, &self.config, q)?;
+        let groups = match self.config.structure {
+            Structure::RigidGroups => discover(input.prior_means, &evidence, &self.config.groups),
+            _ => Groups { of: vec![None; input.prior_means.len()], ..Groups::default() },
+        };
+        Ok(Prediction { input, means, q, q_of, evidence, groups })
+    }
+
+    /// The second half of [`fuse`](Self::fuse): the posterior of every Gaussian.
+    ///
+    /// # Errors
+    /// As [`fuse`](Self::fuse).
+    pub fn update(&self, prediction: Prediction, departures: &Departures) -> Result<Fused, FusionError> {
+        let Prediction { input, means: mut predicted, q, q_of, evidence, groups } = prediction;
         let structure = match self.config.structure {
             Structure::None => None,
-            _ => structured(input, &evidence, &self.config, photographs)?,
+            _ => structured(input, &evidence, &self.config, groups, departures)?,
         };
         if let (None, Structure::RigidGroups, Some(steps)) =
             (&structure, self.config.structure, input.previous_steps)
@@ -84,7 +93,7 @@ impl InformationFuser {
         let states: Vec<State> = (0..predicted.len())
             .into_par_iter()
             .map(|i| match &structure {
-                None => self.update(input, i, random_walk(input, predicted[i], i, q_of[i])),
+                None => self.update_one(input, i, random_walk(input, predicted[i], i, q_of[i])),
                 Some(structure) => self.blend(input, &evidence, structure, i),
             })
             .collect();
@@ -201,7 +210,7 @@ impl InformationFuser {
     }
 
     /// Kalman update of one Gaussian from `prior`.
-    fn update(&self, input: &FusionInput, i: usize, prior: State) -> State {
+    fn update_one(&self, input: &FusionInput, i: usize, prior: State) -> State {
         let mut rejected = vec![false; if self.config.gate > 0.0 { input.estimates.len() } else { 0 }];
         loop {
             let keep = |l: usize| !rejected.get(l).copied().unwrap_or(false);

@@ -1,14 +1,14 @@
 //! The prior of the fusion from the motion of each Gaussian's rigid group or neighbourhood; beyond the paper.
 
-use crate::config::{FusionConfig, Structure};
+use crate::config::FusionConfig;
 use crate::correlation::correlation;
 use crate::error::FusionError;
 use crate::evidence::{Combined, Evidence, TrackerEstimate};
 use crate::flexibility::Flexibility;
-use crate::groups::{Groups, discover};
+use crate::groups::Groups;
 use crate::input::FusionInput;
 use crate::neighbourhoods::{COMPARED, local_rigid_motion};
-use crate::photographs::Photographs;
+use crate::prediction::Departures;
 use crate::prior::Prior;
 use crate::process_noise::median;
 use crate::symmetric::Symmetric;
@@ -49,16 +49,12 @@ pub(crate) fn structured(
     input: &FusionInput,
     evidence: &Evidence,
     config: &FusionConfig,
-    photographs: &mut dyn Photographs,
+    mut groups: Groups,
+    departures: &Departures,
 ) -> Result<Option<Structured>, FusionError> {
     let previous = input.prior_means;
-    let mut groups = match config.structure {
-        Structure::RigidGroups => discover(previous, evidence, &config.groups),
-        _ => Groups { of: vec![None; previous.len()], ..Groups::default() },
-    };
-    photographs.align(&mut groups);
     let flexibility = match &input.observed {
-        Some(observed) => Flexibility::new(previous, observed, &groups, photographs, input.flexibility),
+        Some(_) => Flexibility::new(&groups, departures, input.flexibility),
         None => Flexibility::none(previous.len()),
     };
     let odds = flexibility.of_groups.iter();

@@ -2,11 +2,8 @@
 
 use crate::MotionInput;
 use crate::turn::turn;
-use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog};
-use ffgs_fusion::{
-    Fused, FusionInput, InformationFuser, Photographs, ProcessNoise, ViewObservations, spatial_objects,
-};
+use ffgs_fusion::{Fused, FusionInput, ProcessNoise, ViewObservations, spatial_objects};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -48,38 +45,53 @@ impl<'a> PixelScale<'a> {
     }
 }
 
-/// Lines 25 to 34: the posterior of the layer.
-pub(crate) fn fuse(
-    input: &MotionInput,
-    observations: &[Observations],
-    estimates: &[Estimates],
-    dynamic: &Dynamic,
-    photographs: &mut dyn Photographs,
-    log: &mut StageLog,
-) -> Result<Fused> {
-    let start = Instant::now();
-    let mut pixel_m = pixel_sizes(input.previous, input.step.before.iter().map(|view| &view.camera));
-    let fuser = InformationFuser { config: input.config.fusion };
-    let objects = match input.config.fusion.q_mode {
-        ProcessNoise::Global => None,
-        ProcessNoise::PerObject => Some(spatial_objects(input.previous, &input.config.fusion.groups)),
-    };
-    let cameras: Vec<Camera> = input.step.now.iter().map(|view| view.camera).collect();
-    let standing = vec![DVec3::ZERO; input.previous.len()];
-    let fusion = FusionInput {
-        prior_means: input.previous,
-        prior_covariances: &dynamic.covariances,
-        estimates,
-        previous_steps: Some(dynamic.known_steps().unwrap_or(&standing)),
-        groups: objects.as_deref(),
-        last_q: dynamic.q,
-        q_floor_m: input.config.fusion.q_floor_px * typical_size(&mut pixel_m),
-        observed: Some(ViewObservations { cameras: &cameras, observations }),
-        flexibility: dynamic.known_flexibility(),
-    };
-    let fused = fuser.fuse_with(&fusion, photographs)?;
-    log.since("fusion", start);
-    Ok(fused)
+/// What the fusion reads besides observations and estimates.
+pub(crate) struct FusionColumns {
+    /// Objects by distance in space, where the process noise is one per object.
+    objects: Option<Vec<u32>>,
+    /// Of the views at t.
+    cameras: Vec<Camera>,
+    /// (N) steps from t-2 to t-1 (m); zeros where they are not known.
+    steps: Vec<DVec3>,
+    /// Median size of a pixel at the Gaussians (m).
+    pixel_m: f64,
+}
+
+impl FusionColumns {
+    pub(crate) fn new(input: &MotionInput, dynamic: &Dynamic) -> Self {
+        let mut pixel_m = pixel_sizes(input.previous, input.step.before.iter().map(|view| &view.camera));
+        Self {
+            objects: match input.config.fusion.q_mode {
+                ProcessNoise::Global => None,
+                ProcessNoise::PerObject => Some(spatial_objects(input.previous, &input.config.fusion.groups)),
+            },
+            cameras: input.step.now.iter().map(|view| view.camera).collect(),
+            steps: dynamic
+                .known_steps()
+                .map_or_else(|| vec![DVec3::ZERO; input.previous.len()], <[DVec3]>::to_vec),
+            pixel_m: typical_size(&mut pixel_m),
+        }
+    }
+
+    pub(crate) fn input<'a>(
+        &'a self,
+        input: &'a MotionInput,
+        observations: &'a [Observations],
+        estimates: &'a [Estimates],
+        dynamic: &'a Dynamic,
+    ) -> FusionInput<'a> {
+        FusionInput {
+            prior_means: input.previous,
+            prior_covariances: &dynamic.covariances,
+            estimates,
+            previous_steps: Some(&self.steps),
+            groups: self.objects.as_deref(),
+            last_q: dynamic.q,
+            q_floor_m: input.config.fusion.q_floor_px * self.pixel_m,
+            observed: Some(ViewObservations { cameras: &self.cameras, observations }),
+            flexibility: dynamic.known_flexibility(),
+        }
+    }
 }
 
 /// Moves the layer to its posterior.

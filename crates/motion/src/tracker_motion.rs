@@ -1,12 +1,15 @@
 //! The paper's method: the sequence from observations to the fused, validated and grown dynamic layer.
 
-use crate::alignment::Aligned;
-use crate::{MotionConfig, MotionInput, densify, fuse, observe, on_gpu, triangulate, validate, withdraw};
+use crate::alignment::{align_groups, departure_odds};
+use crate::fuse::{FusionColumns, apply};
+use crate::{MotionConfig, MotionInput, densify, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
 use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
+use ffgs_fusion::{Fused, InformationFuser};
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use glam::DVec3;
+use std::time::Instant;
 
 /// Moves the dynamic layer by what the trackers saw: by all of them fused, or by one alone.
 pub struct TrackerMotion<'a> {
@@ -76,11 +79,35 @@ pub fn move_by(
         log.skip("observations dropped: the predicted position lies outside the image", withdrawn);
     }
     let estimates = triangulate::triangulate(input, observations, log)?;
-    let mut photographs = Aligned::new(input, &dynamic.gaussians, dynamic.known_steps());
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut photographs, log)?;
-    photographs.log(log);
-    fuse::apply(input, fused, dynamic, log);
+    let fused = fuse(input, observations, &estimates, dynamic, log)?;
+    apply(input, fused, dynamic, log);
     Ok(estimates)
+}
+
+/// Lines 25 to 34: predict, align the rigid groups with the photographs, ask them whether cells depart, update.
+fn fuse(
+    input: &MotionInput,
+    observations: &[Observations],
+    estimates: &[Estimates],
+    dynamic: &Dynamic,
+    log: &mut StageLog,
+) -> Result<Fused> {
+    let predicting = Instant::now();
+    let fuser = InformationFuser { config: input.config.fusion };
+    let columns = FusionColumns::new(input, dynamic);
+    let fusion = columns.input(input, observations, estimates, dynamic);
+    let mut prediction = fuser.predict(&fusion)?;
+    log.since("fusion", predicting);
+    align_groups(input, dynamic, &mut prediction.groups, log);
+    let comparing = Instant::now();
+    let mut departures = prediction.departures();
+    let offsets = departures.offsets();
+    log.since("fusion", comparing);
+    departures.odds = departure_odds(input, &dynamic.gaussians, &prediction.groups, &offsets, log);
+    let updating = Instant::now();
+    let fused = fuser.update(prediction, &departures)?;
+    log.since("fusion", updating);
+    Ok(fused)
 }
 
 /// Where the last steps lead; without any, where all observations together do.
@@ -96,7 +123,11 @@ fn expected_places(
     // A rehearsal: what it skips is not counted, the time it takes is.
     let mut rehearsal = StageLog::default();
     let estimates = triangulate::triangulate(input, observations, &mut rehearsal)?;
-    let fused = fuse::fuse(input, observations, &estimates, dynamic, &mut (), &mut rehearsal)?;
+    let start = Instant::now();
+    let columns = FusionColumns::new(input, dynamic);
+    let fusion = columns.input(input, observations, &estimates, dynamic);
+    let fused = InformationFuser { config: input.config.fusion }.fuse(&fusion)?;
+    rehearsal.since("fusion", start);
     rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
     Ok(fused.means)
 }

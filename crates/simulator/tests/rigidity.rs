@@ -1,36 +1,19 @@
 //! Whether a body counts as rigid: whatever the trackers claim, however precise they are, and with a memory.
 
 use ffgs_core::Estimates;
-use ffgs_fusion::{
-    Fused, FusionConfig, FusionInput, Groups, InformationFuser, Photographs, ViewObservations,
-};
+use ffgs_fusion::{Fused, FusionConfig, FusionInput, InformationFuser, ViewObservations};
 use ffgs_motion_eval::{Sample, Summary, summarise};
 use ffgs_simulator::{Recipe, Rig, Scenario, Simulation, simulate};
 use ffgs_triangulation::WeightedRays;
-use glam::{DMat3, DVec3};
+use glam::DMat3;
 
 /// The fusion with the trackers' covariances times `claims`, after a frame that left `flexibility`.
 fn fuse(scene: &Simulation, claims: f64, flexibility: Option<&[f64]>) -> Fused {
-    fuse_with(scene, claims, flexibility, &mut ())
+    fuse_with(scene, claims, flexibility, 0.0)
 }
 
-/// Photographs that tell the same of every cell: the logarithm of the odds that it departs.
-struct SameOdds(f64);
-
-impl Photographs for SameOdds {
-    fn align(&mut self, _: &mut Groups) {}
-
-    fn departures(&mut self, _: &Groups, offsets: &[Option<DVec3>]) -> Vec<f64> {
-        offsets.iter().map(|offset| offset.map_or(0.0, |_| self.0)).collect()
-    }
-}
-
-fn fuse_with(
-    scene: &Simulation,
-    claims: f64,
-    flexibility: Option<&[f64]>,
-    photographs: &mut dyn Photographs,
-) -> Fused {
+/// As [`fuse`], with photographs that say the same of every cell: `odds` is the logarithm of the odds that it departs.
+fn fuse_with(scene: &Simulation, claims: f64, flexibility: Option<&[f64]>, odds: f64) -> Fused {
     let estimate = |o| {
         let mut out = Estimates::default();
         WeightedRays::default().triangulate(&scene.previous, &scene.cameras, o, &mut out).unwrap();
@@ -49,7 +32,11 @@ fn fuse_with(
         observed: Some(ViewObservations { cameras: &scene.cameras, observations: &scene.observations }),
         flexibility,
     };
-    InformationFuser { config: FusionConfig::default() }.fuse_with(&input, photographs).unwrap()
+    let fuser = InformationFuser { config: FusionConfig::default() };
+    let prediction = fuser.predict(&input).unwrap();
+    let mut departures = prediction.departures();
+    departures.odds = departures.offsets().iter().map(|offset| offset.map_or(0.0, |_| odds)).collect();
+    fuser.update(prediction, &departures).unwrap()
 }
 
 fn samples(scene: &Simulation, fused: &Fused, keep: impl Fn(usize) -> bool) -> Vec<Sample> {
@@ -175,7 +162,7 @@ fn what_was_rigid_stays_rigid_and_what_moves_its_limbs_is_seen_to_within_three_f
 fn photographs_overrule_departures_but_make_no_rigid_body_flexible() {
     let largest = |scenario, odds| {
         let scene = simulate(&Recipe { scenario, ..Recipe::default() });
-        let groups = fuse_with(&scene, 1.0, None, &mut SameOdds(odds)).groups;
+        let groups = fuse_with(&scene, 1.0, None, odds).groups;
         groups.iter().max_by_key(|group| group.cells).unwrap().flexibility
     };
     let (walker, car) = (largest(Scenario::Walker, 0.0), largest(Scenario::Car, 0.0));

@@ -10,15 +10,15 @@
 //! The result is fused with the trackers' by their covariances. That of the photographs comes from how the views disagree:
 //! neighbouring pixels share their errors, views do not.
 
-mod aligned;
 mod continuation;
 mod departures;
+mod groups;
 mod normal;
 mod photograph;
 mod starts;
 mod surface;
 
-pub(crate) use aligned::Aligned;
+pub(crate) use groups::{align_groups, departure_odds};
 
 use crate::Rotate;
 use crate::turn::turn;
