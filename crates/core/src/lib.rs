@@ -18,6 +18,7 @@ mod motion;
 mod scene;
 mod sky_cube;
 mod spatial_order;
+pub mod stage;
 mod stage_log;
 mod view;
 

@@ -2,9 +2,9 @@
 
 use ffgs_core::{Camera, EstimateStatus, Estimates, Gaussians, ImageSize, Intrinsics, Mask, sigmoid};
 use ffgs_fusion::{
-    DensifyAction, DensifyConfig, FusionConfig, FusionError, FusionInput, InformationFuser, PriorModel,
-    ProcessNoise, Silhouettes, Slack, Structure, ViewCounts, apply_densification, initial_covariance,
-    plan_densification, second_chance, validate,
+    FusionConfig, FusionError, FusionInput, GrowthAction, GrowthConfig, InformationFuser, PriorModel,
+    ProcessNoise, Silhouettes, Slack, Structure, ViewCounts, apply_growth, initial_covariance, plan_growth,
+    second_chance, validate,
 };
 use glam::{DMat3, DMat4, DVec3};
 
@@ -130,22 +130,22 @@ fn densification_keeps_transmittance_covariance_and_the_growth_cap() {
     let mut covariances: Vec<DMat3> =
         (0..n).map(|i| DMat3::from_diagonal(DVec3::splat(1e-6 * i as f64))).collect();
     covariances[7] = DMat3::IDENTITY;
-    let config = DensifyConfig::default();
-    assert!(plan_densification(&g, &covariances, &vec![10.0; n], &config).is_empty());
-    let plan = plan_densification(&g, &covariances, &vec![0.005; n], &config);
+    let config = GrowthConfig::default();
+    assert!(plan_growth(&g, &covariances, &vec![10.0; n], &config).is_empty());
+    let plan = plan_growth(&g, &covariances, &vec![0.005; n], &config);
     assert_eq!(
         plan,
         [
-            (7, DensifyAction::Split),
-            (197, DensifyAction::Clone),
-            (198, DensifyAction::Clone),
-            (199, DensifyAction::Clone)
+            (7, GrowthAction::Split),
+            (197, GrowthAction::Clone),
+            (198, GrowthAction::Clone),
+            (199, GrowthAction::Clone)
         ]
     );
-    let full = DensifyConfig { max_dynamic: n + 1, ..config };
-    assert_eq!(plan_densification(&g, &covariances, &vec![0.005; n], &full).len(), 1);
+    let full = GrowthConfig { max_dynamic: n + 1, ..config };
+    assert_eq!(plan_growth(&g, &covariances, &vec![0.005; n], &full).len(), 1);
     let before = g.clone();
-    apply_densification(&mut g, &mut covariances, &plan, 9);
+    apply_growth(&mut g, &mut covariances, &plan, 9);
     g.validate().unwrap();
     assert_eq!((g.len(), covariances.len()), (n + 4, n + 4));
     assert_eq!(covariances[n], DMat3::IDENTITY);
@@ -156,7 +156,7 @@ fn densification_keeps_transmittance_covariance_and_the_growth_cap() {
     }
     assert!(g.means[7][0] > 0.4 && (g.means[7][0] + g.means[n][0]).abs() < 1e-6);
     let mut again = before.clone();
-    apply_densification(&mut again, &mut vec![DMat3::IDENTITY; n], &plan, 9);
+    apply_growth(&mut again, &mut vec![DMat3::IDENTITY; n], &plan, 9);
     assert_eq!(again, g);
 }
 

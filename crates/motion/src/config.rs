@@ -1,7 +1,7 @@
 //! Every setting of the motion initialisation.
 
 use crate::AlignmentConfig;
-use ffgs_fusion::{DensifyConfig, FusionConfig, Slack};
+use ffgs_fusion::{FusionConfig, GrowthConfig, Slack};
 use ffgs_triangulation::TriangulationConfig;
 use ffgs_voronoi::{AgreementConfig, SourceFilter, VoronoiConfig};
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ pub struct MotionConfig {
     /// Rigid groups aligned with the photographs.
     pub alignment: AlignmentConfig,
     /// Growth by uncertainty.
-    pub densification: DensifyConfig,
+    pub densification: GrowthConfig,
 }
 
 impl MotionConfig {

@@ -2,7 +2,7 @@
 
 use crate::MotionInput;
 use crate::turn::turn;
-use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog};
+use ffgs_core::{Camera, Dynamic, Estimates, Observations, StageLog, stage};
 use ffgs_fusion::{Fused, FusionInput, ProcessNoise, ViewObservations, spatial_objects};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -107,5 +107,5 @@ pub(crate) fn apply(input: &MotionInput, fused: Fused, dynamic: &mut Dynamic, lo
     dynamic.covariances = fused.covariances;
     dynamic.flexibility = fused.flexibility;
     dynamic.q = fused.q;
-    log.since("fusion", start);
+    log.since(stage::FUSION, start);
 }

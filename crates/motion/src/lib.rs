@@ -6,9 +6,9 @@
 
 mod alignment;
 mod config;
-mod densify;
 mod fields;
 mod fuse;
+mod growth;
 mod input;
 mod join;
 mod observe;

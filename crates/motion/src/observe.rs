@@ -3,7 +3,7 @@
 use crate::MotionInput;
 use crate::fields::{agree, count, densify_tracks, load};
 use anyhow::Result;
-use ffgs_core::{DenseMotion, Gaussians, Observations, StageLog, TrainingView};
+use ffgs_core::{DenseMotion, Gaussians, Observations, StageLog, TrainingView, stage};
 use ffgs_rasterizer::{Association, AssociationScene, AssociationScratch, Observed};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -41,7 +41,7 @@ pub fn observe(
                 association.observe(&scene, &mut rows, scratch);
             });
         });
-        log.since("association", start);
+        log.since(stage::ASSOCIATION, start);
     }
     Ok(observations)
 }
@@ -89,18 +89,18 @@ fn views_at_once(input: &MotionInput) -> usize {
 fn motion_fields(input: &MotionInput, group: &[usize], log: &mut StageLog) -> Result<Vec<Vec<DenseMotion>>> {
     let start = Instant::now();
     let loaded: Vec<_> = group.par_iter().map(|&v| load(input, v)).collect::<Result<_>>()?;
-    log.since("load", start);
+    log.since(stage::LOAD, start);
     let start = Instant::now();
     let motions = loaded.into_iter().map(|view| view.into_iter().map(|loaded| count(log, loaded)).collect());
     let motions: Vec<Vec<_>> = motions.collect();
     let mut fields: Vec<Vec<DenseMotion>> = (group.par_iter().zip(motions))
         .map(|(&v, motions)| densify_tracks(input, &input.step.before[v].mask, motions))
         .collect::<Result<_>>()?;
-    log.since("voronoi", start);
+    log.since(stage::VORONOI, start);
     let start = Instant::now();
     (group.par_iter().zip(&mut fields))
         .try_for_each(|(&v, fields)| agree(input, &input.step.before[v].mask, fields))?;
-    log.since("agreement", start);
+    log.since(stage::AGREEMENT, start);
     Ok(fields)
 }
 

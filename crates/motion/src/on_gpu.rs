@@ -5,7 +5,7 @@ use crate::MotionInput;
 use crate::fields::{count, load};
 use crate::observe::rows;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Observations, StageLog, ViewMotion};
+use ffgs_core::{Gaussians, Observations, StageLog, ViewMotion, stage};
 use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::ViewFields;
 use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
@@ -41,7 +41,7 @@ pub(crate) fn observe(
             let fields = view_fields(gpu, input, v, log)?;
             let start = Instant::now();
             on_device.associate(input, v, &fields, &mut rows)?;
-            log.since("association", start);
+            log.since(stage::ASSOCIATION, start);
         }
     }
     gpu.release_unused();
@@ -98,7 +98,7 @@ fn view_fields<'a>(
     let mask = &input.step.before[v].mask;
     let start = Instant::now();
     let files = load(input, v)?;
-    log.since("load", start);
+    log.since(stage::LOAD, start);
     let start = Instant::now();
     let fields = ViewFields::new(gpu, mask, input.trackers.len())?;
     for (l, file) in files.into_iter().enumerate() {
@@ -108,10 +108,10 @@ fn view_fields<'a>(
             Some(ViewMotion::Tracks(set)) => fields.densify(l, &input.config.voronoi, &set, mask)?,
         }
     }
-    log.since("voronoi", start);
+    log.since(stage::VORONOI, start);
     let start = Instant::now();
     fields.agree(&input.config.agreement)?;
-    log.since("agreement", start);
+    log.since(stage::AGREEMENT, start);
     Ok(fields)
 }
 

@@ -2,9 +2,9 @@
 
 use crate::alignment::{align_groups, departure_odds};
 use crate::fuse::{FusionColumns, apply};
-use crate::{MotionConfig, MotionInput, densify, observe, on_gpu, triangulate, validate, withdraw};
+use crate::{MotionConfig, MotionInput, growth, observe, on_gpu, triangulate, validate, withdraw};
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog};
+use ffgs_core::{Camera, Dynamic, Estimates, Observations, Scene, StageLog, stage};
 use ffgs_fusion::{Fused, InformationFuser};
 use ffgs_method::{MotionMethod, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
@@ -43,7 +43,7 @@ impl MotionMethod for TrackerMotion<'_> {
         };
         move_by(&input, &mut observations, dynamic, log)?;
         validate::validate_positions(&input, dynamic, log)?;
-        densify::densify(&input, dynamic, log);
+        growth::grow(&input, dynamic, log);
         Ok(())
     }
 
@@ -97,16 +97,16 @@ fn fuse(
     let columns = FusionColumns::new(input, dynamic);
     let fusion = columns.input(input, observations, estimates, dynamic);
     let mut prediction = fuser.predict(&fusion)?;
-    log.since("fusion", predicting);
+    log.since(stage::FUSION, predicting);
     align_groups(input, dynamic, &mut prediction.groups, log);
     let comparing = Instant::now();
     let mut departures = prediction.departures();
     let offsets = departures.offsets();
-    log.since("fusion", comparing);
+    log.since(stage::FUSION, comparing);
     departures.odds = departure_odds(input, &dynamic.gaussians, &prediction.groups, &offsets, log);
     let updating = Instant::now();
     let fused = fuser.update(prediction, &departures)?;
-    log.since("fusion", updating);
+    log.since(stage::FUSION, updating);
     Ok(fused)
 }
 
@@ -127,7 +127,7 @@ fn expected_places(
     let columns = FusionColumns::new(input, dynamic);
     let fusion = columns.input(input, observations, &estimates, dynamic);
     let fused = InformationFuser { config: input.config.fusion }.fuse(&fusion)?;
-    rehearsal.since("fusion", start);
+    rehearsal.since(stage::FUSION, start);
     rehearsal.seconds.iter().for_each(|(stage, &seconds)| log.add_seconds(stage, seconds));
     Ok(fused.means)
 }

@@ -2,7 +2,7 @@
 
 use crate::MotionInput;
 use anyhow::Result;
-use ffgs_core::{Camera, EstimateStatus, Estimates, Observations, StageLog};
+use ffgs_core::{Camera, EstimateStatus, Estimates, Observations, StageLog, stage};
 use ffgs_triangulation::WeightedRays;
 use std::time::Instant;
 
@@ -23,6 +23,6 @@ pub(crate) fn triangulate(
     }
     let failed = all.iter().flat_map(|e| &e.status).filter(|s| **s != EstimateStatus::Ok).count();
     log.skip("triangulations without a result (too few views, residual, geometry)", failed);
-    log.since("triangulation", start);
+    log.since(stage::TRIANGULATION, start);
     Ok(all)
 }

@@ -2,7 +2,7 @@
 
 use crate::MotionInput;
 use anyhow::Result;
-use ffgs_core::{Dynamic, StageLog};
+use ffgs_core::{Dynamic, StageLog, stage};
 use ffgs_fusion::{Silhouettes, second_chance, spatial_objects};
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -38,7 +38,7 @@ pub(crate) fn validate_positions(
     dynamic.steps = means.iter().zip(input.previous).map(|(now, before)| *now - *before).collect();
     dynamic.keep(&kept);
     dynamic.growth_limit = dynamic.growth_limit.saturating_sub(unseen);
-    log.since("validation", start);
+    log.since(stage::VALIDATION, start);
     Ok(())
 }
 

@@ -4,7 +4,7 @@ use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
 use ffgs_fusion::{Seed, SeedView, seeds};
 use ffgs_motion::join;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
@@ -34,7 +34,7 @@ impl Reconstructor<'_> {
         if born > 0 {
             tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
         }
-        log.since("birth", start);
+        log.since(stage::BIRTH, start);
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! The settings of the reconstruction; those of the motion initialisation are the method's own.
 
-use ffgs_fusion::DensifyConfig;
+use ffgs_fusion::GrowthConfig;
 use ffgs_motion::MarkingConfig;
 use ffgs_trainer::{
     BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, ResolutionConfig,
@@ -18,7 +18,7 @@ pub struct ReconstructionConfig {
     /// Which Gaussians are dynamic.
     pub marking: MarkingConfig,
     /// Bounds of the dynamic layer's growth.
-    pub densification: DensifyConfig,
+    pub densification: GrowthConfig,
     /// Moving Gaussians where masks are not explained.
     pub birth: BirthConfig,
     /// How large photographs are in the frames after the first.
@@ -38,7 +38,7 @@ impl Default for ReconstructionConfig {
             sky_face_size: 128,
             first_frame: FirstFrameConfig::default(),
             marking: MarkingConfig::default(),
-            densification: DensifyConfig::default(),
+            densification: GrowthConfig::default(),
             birth: BirthConfig::default(),
             resolution: ResolutionConfig::default(),
             dynamic: DynamicLaneConfig::default(),

@@ -4,7 +4,7 @@
 use crate::marking::cameras_and_masks;
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, stage};
 use ffgs_fusion::{ViewCounts, count_views};
 use ffgs_trainer::{Disoccluded, DisocclusionConfig, Progress};
 use std::time::Instant;
@@ -69,7 +69,7 @@ impl Reconstructor<'_> {
             let count = self.train_open(frame, state, views, &mut |p| report(p))?;
             tracing::debug!("frame {frame}: {count} static Gaussians come to light");
         }
-        log.since("disocclusion", start);
+        log.since(stage::DISOCCLUSION, start);
         Ok(())
     }
 

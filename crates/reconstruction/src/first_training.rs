@@ -7,7 +7,7 @@ use crate::marking::split;
 use crate::reconstructor::Reconstructor;
 use crate::sky::sky_or_none;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Scene, SkyCube, StageLog, TrainingView};
+use ffgs_core::{Gaussians, Scene, SkyCube, StageLog, TrainingView, stage};
 use ffgs_method::{Split, ViewAt};
 use ffgs_trainer::{FirstFrame, camera_extent};
 use std::time::Instant;
@@ -112,7 +112,7 @@ impl Reconstructor<'_> {
         } else {
             Exposures::default()
         };
-        log.since("exposures", estimating);
+        log.since(stage::EXPOSURES, estimating);
         if exposures.are_neutral() {
             return Ok((first, exposures));
         }

@@ -3,7 +3,7 @@
 use crate::knowledge::{self, Predicted};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Gaussians, Scene, StageLog, TrainingView};
+use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
 use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticTargets, Surroundings};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -67,9 +67,9 @@ impl Reconstructor<'_> {
             },
             || timed(&mut || devices.sky(background, &standing.views, &static_start, sky, seed)),
         );
-        log.add_seconds("dynamic", dynamic_s?);
-        log.add_seconds("static", static_s?);
-        log.add_seconds("sky", sky_s?);
+        log.add_seconds(stage::DYNAMIC, dynamic_s?);
+        log.add_seconds(stage::STATIC, static_s?);
+        log.add_seconds(stage::SKY, sky_s?);
         Ok(())
     }
 
@@ -84,7 +84,7 @@ impl Reconstructor<'_> {
         let start = Instant::now();
         let views = self.as_fine_as(&scene.dynamic.gaussians, views).views;
         knowledge::learn(scene, predicted, &views);
-        log.since("information", start);
+        log.since(stage::INFORMATION, start);
     }
 
     /// The photographs, no larger than what `layer` can show.

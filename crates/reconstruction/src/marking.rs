@@ -2,7 +2,9 @@
 
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Camera, Dynamic, Gaussians, Mask, Scene, SkyCube, StageLog, TrainingView, spatial_order};
+use ffgs_core::{
+    Camera, Dynamic, Gaussians, Mask, Scene, SkyCube, StageLog, TrainingView, spatial_order, stage,
+};
 use ffgs_fusion::{Silhouettes, initial_covariance};
 use ffgs_motion::{MarkingConfig, join, pixel_sizes};
 use ffgs_trainer::BackgroundConfig;
@@ -21,7 +23,7 @@ impl Reconstructor<'_> {
         }
         log.skip("static Gaussians that move from now on", started);
         log.skip("moving Gaussians that stand still from now on", stopped);
-        log.since("marking", start);
+        log.since(stage::MARKING, start);
         Ok(())
     }
 }

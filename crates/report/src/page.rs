@@ -4,7 +4,7 @@ use crate::motion_plots::motion_plots;
 use crate::plot::{Series, over_frames};
 use crate::timing::{Row, mean, rows};
 use crate::{FrameReport, ReportError, ReportInput, ViewReport, picture};
-use ffgs_core::{read_text, write_atomically};
+use ffgs_core::{read_text, stage, write_atomically};
 use minijinja::Environment;
 use serde::Serialize;
 use std::io::Write;
@@ -101,14 +101,14 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     let metric = |m: Metric| mean(&later.iter().flat_map(|f| &f.views).filter_map(m).collect::<Vec<_>>());
     let gaussians = over(&|f| Some((f.static_gaussians + f.dynamic_gaussians) as f64 / 1000.0));
     let megabytes = over(&|f| Some(f.bytes as f64 / 1e6));
-    let seconds = over(&|f| f.seconds.get("wall").copied()).filter(|seconds| *seconds > 0.0);
+    let seconds = over(&|f| f.seconds.get(stage::WALL).copied()).filter(|seconds| *seconds > 0.0);
     let (psnr, vmaf) = (metric(|v| v.psnr), metric(|v| v.vmaf));
     let per_second = |quality: Option<f64>| Some(quality? / seconds?);
     let values = [
         ("PSNR", text(psnr, 2), "dB"),
         ("MPSNR (foreground)", text(metric(|v| v.mpsnr), 2), "dB"),
         ("SSIM", text(metric(|v| v.ssim), 4), ""),
-        ("Time per frame", text(over(&|f| f.seconds.get("wall").copied()), 2), "s"),
+        ("Time per frame", text(over(&|f| f.seconds.get(stage::WALL).copied()), 2), "s"),
         ("PSNR per second (PE)", text(per_second(psnr), 2), "dB/s"),
         ("Gaussians", text(gaussians, 1), "thousand"),
         ("On disk per frame", text(megabytes, 2), "MB"),

@@ -1,6 +1,7 @@
 //! The paper's timing table.
 
 use crate::FrameReport;
+use ffgs_core::stage;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -25,7 +26,7 @@ struct Stage {
     names: &'static [&'static str],
 }
 
-const fn stage(label: &'static str, paper: &'static str, names: &'static [&'static str]) -> Stage {
+const fn row_of(label: &'static str, paper: &'static str, names: &'static [&'static str]) -> Stage {
     Stage { label, lane: "dynamic", paper, is_total: false, names }
 }
 
@@ -39,36 +40,38 @@ const fn total(
 }
 
 /// The stages of the dynamic lane.
-const DYNAMIC: [&str; 10] = [
-    "load",
-    "voronoi",
-    "agreement",
-    "association",
-    "triangulation",
-    "alignment",
-    "fusion",
-    "validation",
-    "dynamic",
-    "information",
+const DYNAMIC: [&str; 11] = [
+    stage::LOAD,
+    stage::VORONOI,
+    stage::AGREEMENT,
+    stage::ASSOCIATION,
+    stage::TRIANGULATION,
+    stage::ALIGNMENT,
+    stage::FUSION,
+    stage::VALIDATION,
+    stage::GROWTH,
+    stage::DYNAMIC,
+    stage::INFORMATION,
 ];
 
 /// Seconds of the paper: its table for Monaco4D, one GPU per lane.
-const STAGES: [Stage; 15] = [
-    stage("Load", "< 0.1", &["load"]),
-    stage("Voronoi densification", "0.5", &["voronoi"]),
-    stage("Agreement", "< 0.1", &["agreement"]),
-    stage("Association", "–", &["association"]),
-    stage("Triangulation", "0.2", &["triangulation"]),
-    stage("Alignment", "–", &["alignment"]),
-    stage("Fusion", "0.15", &["fusion"]),
-    stage("Validation", "–", &["validation"]),
-    stage("Finetuning", "~ 9.5", &["dynamic"]),
-    stage("Information", "–", &["information"]),
+const STAGES: [Stage; 16] = [
+    row_of("Load", "< 0.1", &[stage::LOAD]),
+    row_of("Voronoi densification", "0.5", &[stage::VORONOI]),
+    row_of("Agreement", "< 0.1", &[stage::AGREEMENT]),
+    row_of("Association", "–", &[stage::ASSOCIATION]),
+    row_of("Triangulation", "0.2", &[stage::TRIANGULATION]),
+    row_of("Alignment", "–", &[stage::ALIGNMENT]),
+    row_of("Fusion", "0.15", &[stage::FUSION]),
+    row_of("Validation", "–", &[stage::VALIDATION]),
+    row_of("Growth", "–", &[stage::GROWTH]),
+    row_of("Finetuning", "~ 9.5", &[stage::DYNAMIC]),
+    row_of("Information", "–", &[stage::INFORMATION]),
     total("Dynamic lane", "dynamic", "~ 10.5", &DYNAMIC),
-    total("Static lane (SH only)", "static", "~ 25", &["static"]),
-    stage("Disocclusion", "–", &["disocclusion"]),
-    total("Sky lane", "sky", "~ 1", &["sky"]),
-    total("Wall clock", "all", "~ 25", &["wall"]),
+    total("Static lane (SH only)", "static", "~ 25", &[stage::STATIC]),
+    row_of("Disocclusion", "–", &[stage::DISOCCLUSION]),
+    total("Sky lane", "sky", "~ 1", &[stage::SKY]),
+    total("Wall clock", "all", "~ 25", &[stage::WALL]),
 ];
 
 /// Seconds of each frame in these stages, for frames that have any.
@@ -108,7 +111,7 @@ fn row(stage: &Stage, column: &[f64]) -> Row {
 
 /// A stage of the method's own.
 fn own_row(name: &str, column: &[f64]) -> Row {
-    Row { label: name.to_owned(), ..row(&stage("", "–", &[]), column) }
+    Row { label: name.to_owned(), ..row(&row_of("", "–", &[]), column) }
 }
 
 /// Mean of the values; `None` without any.

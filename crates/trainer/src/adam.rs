@@ -4,7 +4,7 @@
 //! of its own history.
 
 use crate::constants::{BETA1, BETA2, CORRECTED_STEPS, EPSILON};
-use crate::densify::IndexMap;
+use crate::density_control::IndexMap;
 use ffgs_core::Gaussians;
 use ffgs_core::kernel::{Kernel, dispatch, fma};
 use rayon::prelude::*;

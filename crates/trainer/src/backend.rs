@@ -2,7 +2,7 @@
 //! this crate; a backend has the memory and the arithmetic of single steps (docs/adr/0032-where-training-is-computed.md).
 
 use crate::adam::{Columns, LearningRates};
-use crate::densify::{GradientSums, IndexMap};
+use crate::density_control::{GradientSums, IndexMap};
 use crate::{Prior, Progress};
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::{Dropout, TileMask};

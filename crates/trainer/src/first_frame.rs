@@ -2,7 +2,7 @@
 
 use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
-use crate::densify::{DensityConfig, DensityControl, reset_opacities};
+use crate::density_control::{DensityConfig, DensityControl, reset_opacities};
 use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};

@@ -8,7 +8,7 @@ mod background;
 mod birth;
 pub mod constants;
 mod cpu;
-mod densify;
+mod density_control;
 mod disocclusion;
 mod dynamic_lane;
 mod exposures;
@@ -34,7 +34,7 @@ pub use backend::{
 pub use background::{BackgroundConfig, StaticMethod};
 pub use birth::{BirthConfig, Newborn, train_newborn, unexplained};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
-pub use densify::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal};
+pub use density_control::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal};
 pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, robust_extent, train_dynamic};
 pub use exposures::estimate_exposures;

@@ -1,7 +1,7 @@
 //! Training of some Gaussians with all their parameters, among others that are drawn along and stay.
 
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
-use crate::densify::{DensityConfig, DensityControl};
+use crate::density_control::{DensityConfig, DensityControl};
 use crate::dynamic_lane::robust_extent;
 use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;

@@ -2,6 +2,7 @@
 
 use super::plan::Candidate;
 use super::table::Table;
+use ffgs_core::stage;
 use ffgs_pipeline::outputs::record::{Mean, Metrics};
 use std::collections::BTreeMap;
 
@@ -165,7 +166,7 @@ fn preparation(all: &[Compared]) -> Table {
     for compared in all {
         let first = compared.first.as_ref().and_then(|metrics| metrics.frames.first());
         let row = [
-            number(first.and_then(|f| f.log.seconds.get("wall").copied()), 1),
+            number(first.and_then(|f| f.log.seconds.get(stage::WALL).copied()), 1),
             number(first.map(|f| (f.static_gaussians + f.dynamic_gaussians) as f64), 0),
             number(first.map(|f| f.bytes as f64 / 1e6), 2),
         ];

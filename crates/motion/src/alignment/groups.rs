@@ -5,7 +5,7 @@ use super::continuation::continued;
 use super::departures::departures;
 use super::surface::{SurfacePoint, surface_points};
 use crate::MotionInput;
-use ffgs_core::{Dynamic, Gaussians, StageLog, TrainingView};
+use ffgs_core::{Dynamic, Gaussians, StageLog, TrainingView, stage};
 use ffgs_fusion::Groups;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ pub(crate) fn align_groups(input: &MotionInput, dynamic: &Dynamic, groups: &mut 
     if config.steps > 0 {
         log.skip("rigid groups that the photographs could not align", groups.found.len() - aligned);
     }
-    log.since("alignment", start);
+    log.since(stage::ALIGNMENT, start);
 }
 
 /// Per cell of `groups`, the logarithm of the odds that it moved by `offsets` (m) beyond its group's motion rather than with the group; 0
@@ -46,6 +46,6 @@ pub(crate) fn departure_odds(
     let seen: Vec<Vec<Vec<SurfacePoint>>> =
         views.par_iter().map(|(before, _)| surface_points(before, layer, groups, pixels)).collect();
     let odds = departures(&views, &seen, groups, offsets);
-    log.since("alignment", start);
+    log.since(stage::ALIGNMENT, start);
     odds
 }

@@ -2,6 +2,7 @@
 
 use crate::cli::terminal;
 use crate::outputs::record::{FrameRecord, Metrics, ViewMetrics, mean};
+use ffgs_core::stage;
 use ffgs_reconstruction::{Monitor, Report};
 use ffgs_trainer::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -77,7 +78,7 @@ impl Console {
             quality("MPSNR", |v| v.mpsnr),
             record.static_gaussians,
             record.dynamic_gaussians,
-            record.log.seconds.get("wall").copied().unwrap_or(0.0)
+            record.log.seconds.get(stage::WALL).copied().unwrap_or(0.0)
         ));
         for warning in &record.log.warnings {
             tracing::warn!("frame {}: {warning}", record.frame);

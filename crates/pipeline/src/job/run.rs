@@ -27,7 +27,7 @@ use crate::plugins::method::Parts;
 use crate::plugins::registry::open_capture;
 use crate::settings::config::Config;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Dynamic, ImageRgb8, Scene, TrainingView, write_atomically};
+use ffgs_core::{Dynamic, ImageRgb8, Scene, TrainingView, stage, write_atomically};
 use ffgs_dataset::ImageCheck;
 use ffgs_method::{Capture, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
@@ -245,13 +245,13 @@ impl<'a> Job<'a> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let (photographs, sums) = first_views_and_checksums(&*self.capture, &self.views, frame)?;
-        record.log.since("load", start);
+        record.log.since(stage::LOAD, start);
         let earlier = self.request.first_frame.as_ref();
         let earlier = earlier.map(|run| self.earlier(&RunFolder(run.clone()), frame)).transpose()?;
         let state = reconstructor.first_frame(frame, photographs, earlier, &mut record.log)?;
         exposures_fact(&state.exposures).into_iter().for_each(|differ| tracing::info!("exposures {differ}"));
         write_exposures(&state.exposures, &self.folder)?;
-        record.log.since("wall", start);
+        record.log.since(stage::WALL, start);
         let (tests, of_tests) = load_tests(&*self.capture, &state.exposures, frame)?;
         let (own, others) = sums.split_at(self.views.len());
         record.inputs = Some(self.digest(frame, [own, &of_tests, others])?);
@@ -289,7 +289,7 @@ impl<'a> Job<'a> {
         let start = Instant::now();
         let (now, sums) = load_equal(&*self.capture, &last.exposures, &training_views(&self.views, frame))?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
-        record.log.since("load", start);
+        record.log.since(stage::LOAD, start);
         let exposures = last.exposures.clone();
         let mut measured = None;
         let mut measure = |step: &Step, scene: &Scene| -> Result<()> {
@@ -298,7 +298,7 @@ impl<'a> Job<'a> {
         };
         let state = reconstructor.later_frame(frame, last, now, &mut record.log, &mut measure)?;
         let measured = measured.context("the prediction was not measured")?;
-        record.log.add_seconds("wall", start.elapsed().as_secs_f64() - measured.seconds);
+        record.log.add_seconds(stage::WALL, start.elapsed().as_secs_f64() - measured.seconds);
         record.inputs = Some(self.digest(frame, [&sums, &measured.sums, &[]])?);
         let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
         Ok((state, record))

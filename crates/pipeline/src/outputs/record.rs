@@ -3,7 +3,7 @@
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::read_json;
 use anyhow::{Result, bail};
-use ffgs_core::StageLog;
+use ffgs_core::{StageLog, stage};
 use ffgs_method::{Capture, Split};
 use serde::{Deserialize, Serialize};
 
@@ -156,7 +156,7 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
     let later: Vec<&FrameRecord> = frames.iter().filter(|f| f.frame > 0).collect();
     let views: Vec<&ViewMetrics> = later.iter().flat_map(|f| &f.views).filter(|v| keep(v)).collect();
     let (psnr, vmaf) = (mean(views.iter().map(|v| v.psnr)), mean(views.iter().filter_map(|v| v.vmaf)));
-    let seconds = mean(later.iter().filter_map(|f| f.log.seconds.get("wall").copied()));
+    let seconds = mean(later.iter().filter_map(|f| f.log.seconds.get(stage::WALL).copied()));
     let per_second = |quality: Option<f64>| Some(quality? / seconds.filter(|seconds| *seconds > 0.0)?);
     Mean {
         psnr,

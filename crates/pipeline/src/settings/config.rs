@@ -3,7 +3,7 @@
 use crate::settings::config_ranges;
 use anyhow::{Context, Result, ensure};
 use ffgs_core::read_text;
-use ffgs_fusion::{DensifyConfig, FusionConfig};
+use ffgs_fusion::{FusionConfig, GrowthConfig};
 use ffgs_methods::MethodSettings;
 use ffgs_motion::{AlignmentConfig, AssociationConfig, MarkingConfig, MotionConfig};
 use ffgs_reconstruction::ReconstructionConfig;
@@ -44,7 +44,7 @@ pub struct Config {
     /// Rigid groups aligned with the photographs.
     pub alignment: AlignmentConfig,
     /// Growth by uncertainty.
-    pub densification: DensifyConfig,
+    pub densification: GrowthConfig,
     /// Moving Gaussians where masks are not explained.
     pub birth: BirthConfig,
     /// How large photographs are in the frames after the first.
@@ -72,7 +72,7 @@ impl Default for Config {
             triangulation: TriangulationConfig::default(),
             fusion: FusionConfig::default(),
             alignment: AlignmentConfig::default(),
-            densification: DensifyConfig::default(),
+            densification: GrowthConfig::default(),
             birth: BirthConfig::default(),
             resolution: ResolutionConfig::default(),
             dynamic: DynamicLaneConfig::default(),

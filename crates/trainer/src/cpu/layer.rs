@@ -4,7 +4,7 @@ use super::around::{Surrounding, TrainedSky};
 use super::cut::Cut;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training};
 use crate::background::SkyBehind;
-use crate::densify::GradientSums;
+use crate::density_control::GradientSums;
 use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};

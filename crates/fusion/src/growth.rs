@@ -6,10 +6,10 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-/// Settings of the densification by uncertainty.
+/// Settings of the growth by uncertainty, which the paper calls densification.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct DensifyConfig {
+pub struct GrowthConfig {
     /// Share of the Gaussians considered, the most uncertain first; also the growth cap of a frame.
     pub fraction: f64,
     /// Least standard deviation, square root of tr(Sigma), in pixels at the Gaussian's depth.
@@ -24,7 +24,7 @@ pub struct DensifyConfig {
     pub max_dynamic: usize,
 }
 
-impl Default for DensifyConfig {
+impl Default for GrowthConfig {
     fn default() -> Self {
         Self {
             fraction: 0.02,
@@ -39,22 +39,22 @@ impl Default for DensifyConfig {
 
 /// What becomes of a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DensifyAction {
+pub enum GrowthAction {
     /// Two smaller ones at offsets along its axes.
     Split,
     /// Two at the same place.
     Clone,
 }
 
-/// Chooses the Gaussians to densify: the top `fraction` by tr(Sigma) (m^2) of those that exceed
+/// Chooses the Gaussians to split or clone: the top `fraction` by tr(Sigma) (m^2) of those that exceed
 /// `(min_sigma_px * pixel_m)^2` (Algorithm 1, line 42). `pixel_m` (N) is the size of a pixel at each depth, z / f (m).
 /// Each action adds one Gaussian; the plan never exceeds the growth cap or `max_dynamic`. Ascending by index.
-pub fn plan_densification(
+pub fn plan_growth(
     gaussians: &Gaussians,
     covariances: &[DMat3],
     pixel_m: &[f64],
-    config: &DensifyConfig,
-) -> Vec<(usize, DensifyAction)> {
+    config: &GrowthConfig,
+) -> Vec<(usize, GrowthAction)> {
     let n = gaussians.len();
     let growth = ((config.fraction * n as f64) as usize).min(config.max_dynamic.saturating_sub(n));
     let trace = |i: usize| covariances[i].x_axis.x + covariances[i].y_axis.y + covariances[i].z_axis.z;
@@ -66,7 +66,7 @@ pub fn plan_densification(
     let action = |i: usize| {
         let largest = gaussians.log_scales[i].iter().copied().fold(f32::MIN, f32::max).exp();
         let split = f64::from(largest) > config.split_above_px * pixel_m[i];
-        if split { DensifyAction::Split } else { DensifyAction::Clone }
+        if split { GrowthAction::Split } else { GrowthAction::Clone }
     };
     candidates.into_iter().map(|i| (i, action(i))).collect()
 }
@@ -78,10 +78,10 @@ const SPLIT_SHRINK: f32 = 1.6;
 /// inherited. Offsets of split children are drawn from the parent's own extent, opposite to each other so that the
 /// pair stays centred; they depend on `seed` and the index only. Opacities become `1 - sqrt(1 - o)`, so that the
 /// stack of two has the transmittance of the parent.
-pub fn apply_densification(
+pub fn apply_growth(
     gaussians: &mut Gaussians,
     covariances: &mut Vec<DMat3>,
-    plan: &[(usize, DensifyAction)],
+    plan: &[(usize, GrowthAction)],
     seed: u64,
 ) {
     let parents = gaussians.select(&plan.iter().map(|p| p.0).collect::<Vec<_>>());
@@ -93,7 +93,7 @@ pub fn apply_densification(
         covariances.push(covariances[i]);
         for (at, side) in [(i, 1.0), (second, -1.0)] {
             gaussians.opacity_logits[at] = opacity_logit;
-            if action == DensifyAction::Split {
+            if action == GrowthAction::Split {
                 let offset = split_offset(&parents, child, seed ^ (i as u64).rotate_left(32)) * side;
                 gaussians.means[at] = (Vec3::from(parents.means[child]) + offset).to_array();
                 gaussians.log_scales[at] = parents.log_scales[child].map(|s| s - SPLIT_SHRINK.ln());
