@@ -53,7 +53,7 @@ impl FinetuneConfig {
 /// Pixels by which masks are grown for the loss, so that outlines are learnt from both sides.
 const LOSS_DILATION: usize = 2;
 
-/// Fits the Gaussians from number `first` on to the photographs, without compensation, in front of `sky`; those before it are
+/// Fits the Gaussians from number `first` on to the photographs, in front of `sky`; those before it are
 /// drawn and stay. Where some stay only the neighbourhood of the foreground counts. Equal inputs and seeds give equal
 /// bytes.
 ///
@@ -78,7 +78,6 @@ pub fn finetune<B: TrainBackend>(
     let mut layer = Arc::new(std::mem::take(gaussians));
     let task = LayerTask {
         columns: Columns::IN_PLACE,
-        antialiased: false,
         fixed: first,
         ..LayerTask::new(&mut layer, views, Around::Sky(sky))
     };

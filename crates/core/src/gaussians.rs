@@ -26,6 +26,17 @@ pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
+/// How the width of a pixel enters a projected Gaussian: its covariance is widened by the filter's in both cases.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PixelFilter {
+    /// The opacity is multiplied by the share of the splat that survives the filter, so that a Gaussian keeps its weight at every
+    /// distance (Mip-Splatting, Yu et al. 2024, section 5.2).
+    #[default]
+    Compensated,
+    /// The opacity stays, as in ordinary viewers and in the original 3D Gaussian Splatting.
+    Plain,
+}
+
 /// A set of 3D Gaussians in the parametrisation of 3D Gaussian Splatting, structure of arrays.
 ///
 /// Invariant: every column has the length [`Gaussians::len`] (`sh` that times its coefficient count). Quaternions
@@ -43,6 +54,8 @@ pub struct Gaussians {
     /// SH colour, Gaussian-major: entry `gaussian * coefficients + coefficient`, RGB.
     pub sh: Vec<[f32; 3]>,
     sh_degree: usize,
+    /// The filter under which the parameters were found, and with which they are drawn.
+    pub filter: PixelFilter,
 }
 
 impl Gaussians {
@@ -50,6 +63,12 @@ impl Gaussians {
     pub fn empty(sh_degree: usize) -> Self {
         assert!(sh_degree <= 3, "SH degree {sh_degree} is not supported");
         Self { sh_degree, ..Self::default() }
+    }
+
+    /// The same parameters, drawn with another filter.
+    #[must_use]
+    pub fn with_filter(self, filter: PixelFilter) -> Self {
+        Self { filter, ..self }
     }
 
     /// `n` Gaussians with every parameter zero (gradients, moments).
@@ -113,9 +132,9 @@ impl Gaussians {
         Ok(())
     }
 
-    /// Appends Gaussian `i` of `other` (same SH degree).
+    /// Appends Gaussian `i` of `other` (same SH degree and filter).
     pub fn push_from(&mut self, other: &Self, i: usize) {
-        debug_assert_eq!(self.sh_degree, other.sh_degree);
+        debug_assert_eq!((self.sh_degree, self.filter), (other.sh_degree, other.filter));
         self.means.push(other.means[i]);
         self.quats.push(other.quats[i]);
         self.log_scales.push(other.log_scales[i]);
@@ -137,16 +156,16 @@ impl Gaussians {
     /// The Gaussians at `indices`, in that order.
     #[must_use]
     pub fn select(&self, indices: &[usize]) -> Self {
-        let mut out = Self::empty(self.sh_degree);
+        let mut out = Self { filter: self.filter, ..Self::empty(self.sh_degree) };
         for &i in indices {
             out.push_from(self, i);
         }
         out
     }
 
-    /// Appends all of `other` (same SH degree).
+    /// Appends all of `other` (same SH degree and filter).
     pub fn extend(&mut self, other: &Self) {
-        debug_assert_eq!(self.sh_degree, other.sh_degree);
+        debug_assert_eq!((self.sh_degree, self.filter), (other.sh_degree, other.filter));
         self.means.extend_from_slice(&other.means);
         self.quats.extend_from_slice(&other.quats);
         self.log_scales.extend_from_slice(&other.log_scales);

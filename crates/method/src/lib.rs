@@ -26,5 +26,5 @@ pub use capture::{Capture, CaptureFormat, Part, Points, Split, ViewAt};
 pub use fault::Fault;
 pub use motion::{Finetuning, MotionMethod, Step};
 pub use registry::{Plugin, Registry, Unknown};
-pub use splats::{Followed, RenderMode, SplatWriter, Splats};
+pub use splats::{Followed, SplatWriter, Splats};
 pub use tracks::{PixelCenter, TrackFormat, TrackSource, Tracked, ViewStep};

@@ -5,16 +5,6 @@ use ffgs_core::Gaussians;
 use glam::DMat3;
 use std::path::Path;
 
-/// How a renderer must draw the Gaussians of a file for the pictures that they were trained on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RenderMode {
-    /// With the opacity compensation of Mip-Splatting (Yu et al. 2024): what this program trains.
-    #[default]
-    Mip,
-    /// Without it: what ordinary viewers draw, and what a baked export is made for.
-    Plain,
-}
-
 /// The Gaussians of a file, and what is known of them beside.
 #[derive(Clone, Copy, Debug)]
 pub struct Splats<'a> {
@@ -45,12 +35,12 @@ pub trait SplatWriter: Plugin {
     /// End of its file names, with the dot.
     fn extension(&self) -> &'static str;
 
-    /// Writes a file, whole or not at all. A format without a place for the mode, or for what is known of followed
+    /// Writes a file, whole or not at all. A format without a place for the pixel filter, or for what is known of followed
     /// Gaussians, leaves it out.
     ///
     /// # Errors
     /// When the file cannot be written, or the format cannot hold the Gaussians.
-    fn write(&self, file: &Path, splats: &Splats, mode: RenderMode) -> Result<(), Fault>;
+    fn write(&self, file: &Path, splats: &Splats) -> Result<(), Fault>;
 
     /// Reads a file again, as a player sees it; `None` for a format that this program only writes.
     ///

@@ -3,9 +3,7 @@
 use anyhow::{Result, ensure};
 use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_method::Step;
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, PixelGradients, RenderTape, View};
 use ffgs_trainer::{Epochs, LossRegion, PhotometricLoss, SkyView};
 
 /// The photographs of a frame, and how Gaussians look from their cameras.
@@ -65,11 +63,7 @@ pub(crate) struct Comparison {
 impl Comparison {
     pub(crate) fn new() -> Self {
         Self {
-            rasterizer: CpuRasterizer::new(RenderOptions {
-                antialiased: true,
-                sh_degree: None,
-                dropout: None,
-            }),
+            rasterizer: CpuRasterizer::default(),
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             by_pixels: no_image(),

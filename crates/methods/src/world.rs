@@ -5,7 +5,7 @@ use ffgs_core::{
     StageLog, TrainingView,
 };
 use ffgs_method::{MotionMethod, Step};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_testkit::{conformance, look_at};
 use ffgs_trainer::SkyView;
 use glam::{DVec3, Vec3};
@@ -94,8 +94,7 @@ impl World {
     fn view(&self, view: usize, frame: usize) -> TrainingView {
         let (camera, gaussians) = (camera(view), self.gaussians_at(frame));
         let mut tape = RenderTape::default();
-        let rasterizer =
-            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+        let rasterizer = CpuRasterizer::default();
         let mut sky = PlanarImage::zeros(SIZE);
         SkyView::new(&camera, self.sky.face_size()).render(&self.sky, &mut sky);
         let shown = |background| View { camera: &camera, background, tiles: None };

@@ -125,7 +125,7 @@ fn basis(d: DVec3) -> SVector<f64, BASIS> {
 mod tests {
     use super::*;
     use ffgs_core::{Camera, ImageSize, Intrinsics};
-    use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+    use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
     use glam::{DMat3, DMat4};
 
     /// A camera that turns with the scene sees the same picture.
@@ -166,8 +166,7 @@ mod tests {
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-            .render(scene, &view, &mut tape);
+        CpuRasterizer::default().render(scene, &view, &mut tape);
         (0..3).flat_map(|c| tape.image().plane(c).to_vec()).collect()
     }
 }

@@ -6,7 +6,7 @@ use ffgs_core::ImageRgb8;
 use ffgs_method::{Split, ViewAt};
 use ffgs_pipeline::outputs::scoring::write_png;
 use ffgs_pipeline::plugins::registry::open_capture;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use std::path::Path;
 
 fn main() -> Result<()> {
@@ -18,10 +18,6 @@ fn main() -> Result<()> {
     let splats = ffgs_splats::read_ply(Path::new(ply))?;
     let mut tape = RenderTape::default();
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None }).render(
-        &splats.gaussians,
-        &view,
-        &mut tape,
-    );
+    CpuRasterizer::default().render(&splats.gaussians, &view, &mut tape);
     write_png(Path::new(out), &ImageRgb8::from(tape.image()))
 }

@@ -3,7 +3,6 @@
 
 use anyhow::{Context, Result, bail};
 use ffgs_core::SkyCube;
-use ffgs_method::RenderMode;
 use ffgs_pipeline::job::frame;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_trainer::{
@@ -30,6 +29,6 @@ fn main() -> Result<()> {
             println!("step {}: PSNR {:.2} dB, {} Gaussians", step.iteration, step.psnr, step.gaussians);
         }
     })?;
-    ffgs_splats::write_ply(Path::new(out), &trained.gaussians, None, RenderMode::Mip)?;
+    ffgs_splats::write_ply(Path::new(out), &trained.gaussians, None)?;
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Runs over two or three frames of the sample, with next to no training.
 
-use ffgs_core::Exposure;
+use ffgs_core::{Exposure, PixelFilter};
 use ffgs_method::{Split, ViewAt};
 use ffgs_pipeline::job::device::Device;
 use ffgs_pipeline::job::request::{FrameRange, RunRequest};
@@ -12,6 +12,7 @@ use ffgs_pipeline::outputs::scoring::write_png;
 use ffgs_pipeline::outputs::state;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_pipeline::settings::config::Config;
+use ffgs_splats::read_ply;
 use ffgs_trainer::StaticMethod;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -58,6 +59,26 @@ fn mpsnr(frame: &FrameRecord) -> f64 {
 
 fn report(out: &Path) -> String {
     fs::read_to_string(out.join("report.html")).unwrap()
+}
+
+#[test]
+fn a_run_is_drawn_with_the_filter_that_it_was_trained_with() {
+    let folder = TempDir::new().unwrap();
+    let quality = [true, false].map(|antialiased| {
+        let mut request = request(&folder.path().join(antialiased.to_string()), 3);
+        request.config.first_frame.antialiased = antialiased;
+        run(&request).unwrap();
+        let out = RunFolder(request.out);
+        let expected = if antialiased { PixelFilter::Compensated } else { PixelFilter::Plain };
+        let scene = state::load(&out.state(1), 1).unwrap();
+        let files = ["static", "dynamic"]
+            .map(|layer| read_ply(&out.frame(1).join(format!("{layer}.ply"))).unwrap().gaussians);
+        for (layer, file) in scene.layers().into_iter().zip(&files) {
+            assert!(!layer.is_empty() && layer.filter == expected && file.filter == expected);
+        }
+        mpsnr(&metrics(&out.0).frames[1])
+    });
+    assert!((quality[0] - quality[1]).abs() > 1e-3, "the filter changes nothing: {quality:?}");
 }
 
 #[test]

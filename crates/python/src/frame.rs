@@ -78,7 +78,7 @@ impl Frame {
                 plain
             }
         };
-        let (image, transmittance) = draw(&[&self.still, &self.moving], camera, &behind, true);
+        let (image, transmittance) = draw(&[&self.still, &self.moving], camera, &behind);
         let colours = (0..camera.size().pixels()).flat_map(|pixel| image.pixel(pixel)).collect();
         Ok((colours, transmittance.iter().map(|t| 1.0 - t).collect()))
     }

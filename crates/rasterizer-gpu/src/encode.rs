@@ -5,6 +5,7 @@ use crate::scene::{GpuGradients, GpuScene};
 use crate::scratch::{BLOCK, DIGIT_BITS, DIGITS, Scratch};
 use crate::view::GpuView;
 use crate::{kernels, layout::ViewUniform};
+use ffgs_core::PixelFilter;
 use ffgs_gpu::{Buffer, Commands, Gpu, Groups};
 use ffgs_rasterizer::{Dropout, RenderOptions};
 
@@ -25,7 +26,7 @@ pub fn prepare(
         count: scene.count as u32,
         sh_degree: degree as u32,
         sh_stride: ffgs_core::sh_coefficients(scene.sh_degree) as u32,
-        antialiased: u32::from(options.antialiased),
+        antialiased: u32::from(scene.filter == PixelFilter::Compensated),
         span_capacity: scratch.capacity.spans as u32,
         pair_capacity: scratch.capacity.pairs as u32,
         stamp,

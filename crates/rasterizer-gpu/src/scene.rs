@@ -1,7 +1,7 @@
 //! Gaussians in the memory of the device: upload, joining and download.
 
 use crate::layout::{Geometry, Ledger};
-use ffgs_core::{Gaussians, sh_coefficients};
+use ffgs_core::{Gaussians, PixelFilter, sh_coefficients};
 use ffgs_gpu::{Buffer, Gpu, GpuError};
 
 /// Gaussians on the device.
@@ -15,6 +15,8 @@ pub struct GpuScene {
     pub count: usize,
     /// SH degree of the colours.
     pub sh_degree: usize,
+    /// With which they are drawn.
+    pub filter: PixelFilter,
 }
 
 impl GpuScene {
@@ -29,20 +31,23 @@ impl GpuScene {
             sh: gpu.upload("spherical harmonics", &gaussians.sh)?,
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree(),
+            filter: gaussians.filter,
         })
     }
 
-    /// Some scenes of one SH degree one after another, copied on the device.
+    /// Some scenes of one SH degree and filter one after another, copied on the device.
     ///
     /// # Errors
     /// When the device fails or has too little memory.
     ///
     /// # Panics
-    /// When the SH degrees differ.
+    /// When the SH degrees or filters differ.
     pub fn joined(gpu: &Gpu, parts: &[&Self]) -> Result<Self, GpuError> {
         let parts: Vec<_> = parts.iter().filter(|part| part.count > 0).collect();
-        let sh_degree = parts.first().map_or(0, |part| part.sh_degree);
-        assert!(parts.iter().all(|part| part.sh_degree == sh_degree), "SH degrees differ");
+        let (sh_degree, filter) =
+            parts.first().map_or((0, PixelFilter::default()), |part| (part.sh_degree, part.filter));
+        let alike = |part: &&&Self| (part.sh_degree, part.filter) == (sh_degree, filter);
+        assert!(parts.iter().all(alike), "SH degrees or filters differ");
         let count: usize = parts.iter().map(|part| part.count).sum();
         let widths = [size_of::<Geometry>(), 12 * sh_coefficients(sh_degree)].map(|width| width as u64);
         let geometry = gpu.buffer("Gaussians", count as u64 * widths[0])?;
@@ -55,7 +60,7 @@ impl GpuScene {
             commands.copy_to(&part.sh, &sh, at * widths[1], n * widths[1]);
             at += n;
         }
-        let scene = Self { geometry, sh, count, sh_degree };
+        let scene = Self { geometry, sh, count, sh_degree, filter };
         gpu.submit(commands)?;
         Ok(scene)
     }
@@ -77,7 +82,7 @@ impl GpuScene {
     /// # Errors
     /// When the device failed.
     pub fn download(&self, gpu: &Gpu) -> Result<Gaussians, GpuError> {
-        let mut out = Gaussians::zeros(self.count, self.sh_degree);
+        let mut out = Gaussians::zeros(self.count, self.sh_degree).with_filter(self.filter);
         let rows: Vec<Geometry> = gpu.download(&self.geometry, self.count)?;
         rows.iter().enumerate().for_each(|(i, row)| row.store(&mut out, i));
         out.sh = gpu.download(&self.sh, self.count * out.sh_stride())?;

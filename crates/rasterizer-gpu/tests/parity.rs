@@ -1,6 +1,6 @@
 //! The GPU rasterizer against its CPU twin: random scenes, masks, image backgrounds, poison and thresholds.
 
-use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, Mask, PlanarImage};
+use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, Mask, PixelFilter, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{
     Background, CpuRasterizer, Dropout, Gradients, PixelGradients, RenderOptions, RenderTape, TileMask, View,
@@ -139,56 +139,57 @@ fn foreground() -> TileMask {
 fn random_scenes_agree() {
     let gpu = Gpu::for_test();
     let behind = picture(9);
-    let plain = RenderOptions::default();
-    let antialiased = RenderOptions { antialiased: true, sh_degree: Some(1), dropout: None };
+    let all = RenderOptions::default();
+    let low = RenderOptions { sh_degree: Some(1), dropout: None };
+    let plain = |gaussians: Gaussians| gaussians.with_filter(PixelFilter::Plain);
     let cases = [
         Case {
             name: "plain",
-            gaussians: scene(300, 3, 1),
+            gaussians: plain(scene(300, 3, 1)),
             background: Background::Colour([0.3, 0.1, 0.7]),
             tiles: None,
-            options: plain,
+            options: all,
         },
         Case {
-            name: "masked, antialiased, over an image",
+            name: "masked, compensated, over an image",
             gaussians: scene(300, 2, 2),
             background: Background::Image(&behind),
             tiles: Some(foreground()),
-            options: antialiased,
+            options: low,
         },
         // More than one block of the scans and sorts, and more pairs than the first guess has room for.
         Case {
             name: "many",
-            gaussians: scene(3000, 0, 3),
+            gaussians: plain(scene(3000, 0, 3)),
             background: Background::Colour([0.0; 3]),
             tiles: None,
-            options: plain,
+            options: all,
         },
         Case {
             name: "dropout",
             gaussians: scene(300, 1, 5),
             background: Background::Colour([0.3, 0.1, 0.7]),
             tiles: None,
-            options: RenderOptions { dropout: Some(Dropout { share: 0.4, draw: 9 }), ..antialiased },
+            options: RenderOptions { dropout: Some(Dropout { share: 0.4, draw: 9 }), ..low },
         },
         Case {
             name: "nothing",
             gaussians: Gaussians::empty(1),
             background: Background::Colour([0.2; 3]),
             tiles: None,
-            options: plain,
+            options: all,
         },
         Case {
             name: "no tile",
             gaussians: scene(50, 0, 4),
             background: Background::Image(&behind),
             tiles: Some(TileMask::covering(&Mask::filled(SIZE, false))),
-            options: plain,
+            options: all,
         },
     ];
     cases.iter().for_each(|case| compare(&gpu, case));
-    let plain = gpu.without_subgroups();
-    cases.iter().for_each(|case| compare(&plain, case));
+    let without = gpu.without_subgroups();
+    cases.iter().for_each(|case| compare(&without, case));
 }
 
 #[test]

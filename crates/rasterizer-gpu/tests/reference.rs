@@ -1,7 +1,7 @@
 //! Images and gradients against gsplat's pure-torch reference in float64, with the CPU rasterizer's tolerances.
 
 use ffgs_arrays::NpzFile;
-use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PlanarImage};
+use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PixelFilter, PlanarImage};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, Gradients, PixelGradients, RenderOptions, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
@@ -32,6 +32,9 @@ fn gaussians(file: &NpzFile) -> Gaussians {
     out.opacity_logits = f32s("in_opacity_logits").data;
     out.sh = sh.data.as_chunks::<3>().0.to_vec();
     out.validate().unwrap();
+    if file.i64("antialiased").unwrap().data[0] == 0 {
+        out.filter = PixelFilter::Plain;
+    }
     out
 }
 
@@ -45,11 +48,7 @@ fn camera(file: &NpzFile) -> Camera {
 
 fn run(gpu: &Gpu, file: &NpzFile) -> (Rendered, Gradients) {
     let scalar = |name: &str| file.i64(name).unwrap().data[0];
-    let options = RenderOptions {
-        antialiased: scalar("antialiased") != 0,
-        sh_degree: Some(scalar("sh_degree") as usize),
-        dropout: None,
-    };
+    let options = RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), dropout: None };
     let (camera, background) = (camera(file), file.f32("in_background").unwrap().data);
     let background = Background::Colour([background[0], background[1], background[2]]);
     let view = View { camera: &camera, background, tiles: None };

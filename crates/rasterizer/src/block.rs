@@ -3,7 +3,7 @@
 
 use crate::elementary::sigmoid;
 use crate::projection::{Extent, PinholeF32, Splat, offset, splat};
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, PixelFilter};
 use glam::Vec3;
 
 /// Gaussians per block: one AVX-512 register, two of AVX2.
@@ -79,14 +79,13 @@ impl Block {
     pub(crate) fn project(
         &self,
         camera: &PinholeF32,
-        antialiased: bool,
+        kind: PixelFilter,
         size: [f32; 2],
         out: &mut Projected,
     ) {
         for k in 0..BLOCK {
             let bare = self.opacity(k);
-            let (s, e) =
-                splat(self.offset(k), self.quat(k), self.log_scales(k), bare, camera, antialiased, size);
+            let (s, e) = splat(self.offset(k), self.quat(k), self.log_scales(k), bare, camera, kind, size);
             out.mean[0][k] = s.mean[0];
             out.mean[1][k] = s.mean[1];
             out.conic[0][k] = s.conic[0];

@@ -172,8 +172,7 @@ mod tests {
             let pose = turn * DMat4::from_translation(DVec3::new(0.0, 0.0, 0.1 * f64::from(step)));
             let camera = Camera::new(intrinsics, pose, size).unwrap();
             let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles };
-            let rasterizer =
-                CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None });
+            let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
             rasterizer.prepare(&[&gaussians], &view, &mut all);
             rasterizer.prepare_within(&[&gaussians], Some(&bounds), &view, &mut some);
             assert!(all.visible() > 0);

@@ -131,7 +131,7 @@ impl WithSimd for ProjectChunk<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self { shared, chunk, out } = self;
         let Chunk { layer, ref range, before } = *chunk;
-        let RenderOptions { antialiased, dropout, .. } = shared.options;
+        let dropout = shared.options.dropout;
         let degree = active_degree(layer, shared.options);
         out.splats.clear();
         out.spans.clear();
@@ -142,7 +142,7 @@ impl WithSimd for ProjectChunk<'_> {
                 let factor = dropout.map_or(1.0, |dropout| dropout.factor(before + start + k));
                 block.load(k, layer, start + k, &shared.camera, factor);
             }
-            block.project(&shared.camera, antialiased, shared.size, &mut projected);
+            block.project(&shared.camera, layer.filter, shared.size, &mut projected);
             for k in 0..count {
                 if !(projected.opacity[k] > 0.0) {
                     continue;

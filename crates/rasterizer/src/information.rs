@@ -15,7 +15,7 @@ use crate::spherical_harmonics as sh;
 use crate::tape::{RenderTape, TilePixels, for_each_pixel, gather};
 use crate::tile_lists::{Entry, for_each_tile_slice};
 use crate::view::View;
-use ffgs_core::{Gaussians, instructions, sh_coefficients};
+use ffgs_core::{Gaussians, PixelFilter, instructions, sh_coefficients};
 use glam::{DMat3, DVec2, DVec3};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -82,7 +82,6 @@ impl CpuRasterizer {
         let parameters = Parameters {
             gaussians,
             camera: PinholeF32::from(view.camera),
-            antialiased: self.options.antialiased,
             degree: projection::active_degree(gaussians, self.options),
         };
         // Splats are in the order of the Gaussians.
@@ -265,7 +264,6 @@ impl SplatInformation {
 struct Parameters<'a> {
     gaussians: &'a Gaussians,
     camera: PinholeF32,
-    antialiased: bool,
     degree: usize,
 }
 
@@ -274,8 +272,8 @@ impl Parameters<'_> {
         let g = self.gaussians;
         let offset = projection::offset(g.means[i], self.camera.center);
         let ewa = projection::ewa(offset, g.quats[i], g.log_scales[i], &self.camera);
-        let filtered = projection::filter(&ewa, &self.camera, self.antialiased);
-        let shape = Shape::new(&ewa, &filtered, self.antialiased, sums);
+        let filtered = projection::filter(&ewa, &self.camera, self.gaussians.filter);
+        let shape = Shape::new(&ewa, &filtered, self.gaussians.filter, sums);
         let bare = f64::from(sigmoid(g.opacity_logits[i]));
         let shown = splat.colour.map(|c| if c > 0.0 { sums[9] as f32 } else { 0.0 });
         SplatInformation {
@@ -302,10 +300,10 @@ struct Shape<'a> {
 }
 
 impl<'a> Shape<'a> {
-    fn new(ewa: &Ewa, filtered: &Filtered, antialiased: bool, sums: &'a [f64; SUMS]) -> Self {
+    fn new(ewa: &Ewa, filtered: &Filtered, kind: PixelFilter, sums: &'a [f64; SUMS]) -> Self {
         let scales = ewa.scales.to_array().map(f64::from);
         let axis = |k: usize| DVec2::new(f64::from(ewa.axes[0][k]), f64::from(ewa.axes[1][k])) / scales[k];
-        let free = antialiased && projection::compensation_is_free(filtered);
+        let free = kind == PixelFilter::Compensated && projection::compensation_is_free(filtered);
         let inverse = |[xx, xy, yy]: [f32; 3], determinant: f32| {
             [yy, -xy, xx].map(|v| f64::from(v) / f64::from(determinant))
         };
@@ -358,13 +356,13 @@ impl<'a> Shape<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::{Background, RenderOptions};
+    use crate::view::Background;
     use ffgs_core::{Camera, ImageSize, Intrinsics};
 
     const SIZE: ImageSize = ImageSize { width: 48, height: 32 };
 
-    fn scene() -> (Gaussians, Camera) {
-        let mut g = Gaussians::zeros(12, 1);
+    fn scene(filter: PixelFilter) -> (Gaussians, Camera) {
+        let mut g = Gaussians::zeros(12, 1).with_filter(filter);
         for i in 0..g.len() {
             let spread = |k: usize| ((i * k) % 17) as f32 / 17.0 - 0.5;
             g.means[i] = [2.0 * spread(5), 1.4 * spread(7), 4.0 + spread(3)];
@@ -378,11 +376,10 @@ mod tests {
         (g, Camera::new(intrinsics, pose, SIZE).unwrap())
     }
 
-    fn image(g: &Gaussians, camera: &Camera, antialiased: bool) -> Vec<f64> {
+    fn image(g: &Gaussians, camera: &Camera) -> Vec<f64> {
         let view = View { camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
-            .render(g, &view, &mut tape);
+        CpuRasterizer::default().render(g, &view, &mut tape);
         tape.image().data().iter().map(|v| f64::from(*v)).collect()
     }
 
@@ -392,12 +389,12 @@ mod tests {
     }
 
     /// Derivatives of all pixels by central differences of a parameter.
-    fn derivative(camera: &Camera, antialiased: bool, change: impl Fn(&mut Gaussians, f32)) -> Vec<f64> {
+    fn derivative(camera: &Camera, filter: PixelFilter, change: impl Fn(&mut Gaussians, f32)) -> Vec<f64> {
         const STEP: f32 = 2e-2;
         let at = |side: f32| {
-            let mut g = scene().0;
+            let mut g = scene(filter).0;
             change(&mut g, side * STEP);
-            image(&g, camera, antialiased)
+            image(&g, camera)
         };
         let (above, below) = (at(1.0), at(-1.0));
         above.iter().zip(below).map(|(a, b)| (a - b) / (2.0 * f64::from(STEP))).collect()
@@ -408,10 +405,10 @@ mod tests {
         a.iter().zip(b).enumerate().map(|(p, (a, b))| a * b * f64::from(weights[p % SIZE.pixels()])).sum()
     }
 
-    fn information(antialiased: bool) -> Information {
-        let (g, camera) = scene();
+    fn information(filter: PixelFilter) -> Information {
+        let (g, camera) = scene(filter);
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
-        let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None });
+        let rasterizer = CpuRasterizer::default();
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
         let mut out = Information::none(g.len(), 1);
@@ -422,13 +419,12 @@ mod tests {
     /// Layers render as all Gaussians in one, and the information on the last is the same, bit by bit.
     #[test]
     fn layers_are_rendered_as_one() {
-        let (g, camera) = scene();
+        let (g, camera) = scene(PixelFilter::Compensated);
         let view = View { camera: &camera, background: Background::Colour([0.2, 0.4, 0.6]), tiles: None };
-        let rasterizer =
-            CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+        let rasterizer = CpuRasterizer::default();
         let mut tape = RenderTape::default();
         rasterizer.render(&g, &view, &mut tape);
-        let (image, all) = (tape.image().clone(), information(true));
+        let (image, all) = (tape.image().clone(), information(PixelFilter::Compensated));
         for first in 0..=g.len() {
             let [before, rest] = [0..first, first..g.len()].map(Iterator::collect::<Vec<usize>>);
             let layers = [&g.select(&before), &g.select(&rest)];
@@ -455,10 +451,10 @@ mod tests {
 
     #[test]
     fn information_matches_finite_differences() {
-        let (g, camera) = scene();
-        for antialiased in [false, true] {
-            let information = information(antialiased);
-            let by = |change: &dyn Fn(&mut Gaussians, f32)| derivative(&camera, antialiased, change);
+        let (g, camera) = scene(PixelFilter::Compensated);
+        for filter in [PixelFilter::Plain, PixelFilter::Compensated] {
+            let information = information(filter);
+            let by = |change: &dyn Fn(&mut Gaussians, f32)| derivative(&camera, filter, change);
             for i in 0..g.len() {
                 for k in 0..3 {
                     let d = by(&|g, h| g.log_scales[i][k] += h);
@@ -485,12 +481,12 @@ mod tests {
     /// direction, other paths exist that are left out.
     #[test]
     fn positions_match_finite_differences_across_the_ray() {
-        let (g, camera) = scene();
-        let information = information(false);
+        let (g, camera) = scene(PixelFilter::Plain);
+        let information = information(PixelFilter::Plain);
         let [right, down] = [camera.rotation().transpose().x_axis, camera.rotation().transpose().y_axis];
         for i in 0..g.len() {
             let moved = |along: DVec3| {
-                derivative(&camera, false, move |g, h| {
+                derivative(&camera, PixelFilter::Plain, move |g, h| {
                     let place = DVec3::from(g.means[i].map(f64::from)) + along * f64::from(h);
                     g.means[i] = place.as_vec3().to_array();
                 })

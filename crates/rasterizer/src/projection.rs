@@ -4,7 +4,7 @@ use crate::constants::{FRUSTUM_MARGIN, MIN_ALPHA, MIN_COMPENSATION, NEAR, PIXEL_
 use crate::elementary::{exp, ln};
 use crate::spherical_harmonics;
 use crate::view::RenderOptions;
-use ffgs_core::{Camera, Gaussians, sh_coefficients};
+use ffgs_core::{Camera, Gaussians, PixelFilter, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 
 /// Standard deviations at which even an opaque splat falls below [`MIN_ALPHA`], `sqrt(2 ln 255)` rounded up.
@@ -192,7 +192,7 @@ pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &P
 
 /// Applies the pixel filter of the camera to a projected covariance.
 #[inline(always)]
-pub(crate) fn filter(ewa: &Ewa, camera: &PinholeF32, antialiased: bool) -> Filtered {
+pub(crate) fn filter(ewa: &Ewa, camera: &PinholeF32, kind: PixelFilter) -> Filtered {
     let variance = camera.filter;
     let [xx, xy, yy] = ewa.covariance;
     // |u|^2 |v|^2 - (u.v)^2 = |u x v|^2 (Lagrange): of a long needle the left side would cancel to nothing.
@@ -205,7 +205,10 @@ pub(crate) fn filter(ewa: &Ewa, camera: &PinholeF32, antialiased: bool) -> Filte
         covariance: [fxx, xy, fyy],
         conic: [fyy * inverse, -xy * inverse, fxx * inverse],
         determinants,
-        compensation: if antialiased { ratio.sqrt() } else { 1.0 },
+        compensation: match kind {
+            PixelFilter::Compensated => ratio.sqrt(),
+            PixelFilter::Plain => 1.0,
+        },
     }
 }
 
@@ -236,11 +239,11 @@ pub(crate) fn splat(
     log_scales: [f32; 3],
     bare: f32,
     camera: &PinholeF32,
-    antialiased: bool,
+    kind: PixelFilter,
     size: [f32; 2],
 ) -> (Splat, Extent) {
     let ewa = ewa(offset, quat, log_scales, camera);
-    let filtered = filter(&ewa, camera, antialiased);
+    let filtered = filter(&ewa, camera, kind);
     let opacity = bare * filtered.compensation;
     let mean = [
         camera.focal[0] * ewa.point.x / ewa.point.z + camera.principal[0],

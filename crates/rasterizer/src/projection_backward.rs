@@ -7,7 +7,7 @@ use crate::projection::{self, Ewa, PinholeF32};
 use crate::spherical_harmonics as sh;
 use crate::tape::RenderTape;
 use crate::view::{RenderOptions, View};
-use ffgs_core::{Gaussians, instructions, sh_coefficients};
+use ffgs_core::{Gaussians, PixelFilter, instructions, sh_coefficients};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -266,14 +266,15 @@ impl Context<'_> {
     /// All lanes of a block. No branches, calls or closures: this loop is vectorised.
     #[inline(always)]
     fn differentiate(&self, input: &BlockInput, out: &mut BlockGradients) {
-        let (camera, antialiased) = (&self.camera, self.options.antialiased);
+        let (camera, kind) = (&self.camera, self.gaussians.filter);
+        let compensated = kind == PixelFilter::Compensated;
         for k in 0..BLOCK {
             let e = &input.entries;
             let quat = input.block.quat(k);
             let ewa = projection::ewa(input.block.offset(k), quat, input.block.log_scales(k), camera);
-            let filtered = projection::filter(&ewa, camera, antialiased);
+            let filtered = projection::filter(&ewa, camera, kind);
             let alpha = input.block.opacity(k);
-            let free = antialiased & projection::compensation_is_free(&filtered);
+            let free = compensated & projection::compensation_is_free(&filtered);
             let footprint = FootprintGradient::new(&filtered, [e[2][k], e[3][k], e[4][k]]);
             let compensation = compensation_gradient(&filtered, ewa.covariance, free, e[5][k] * alpha);
             let shape = shape_gradient(&ewa, camera, &footprint, compensation, [e[0][k], e[1][k]]);

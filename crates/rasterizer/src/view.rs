@@ -37,8 +37,6 @@ pub struct View<'a> {
 /// How to render.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RenderOptions {
-    /// Multiply the opacity by the share of the splat that survives the pixel filter (Mip-Splatting).
-    pub antialiased: bool,
     /// SH degree to evaluate; `None` = the Gaussians' own. Lower while colours are still coarse.
     pub sh_degree: Option<usize>,
     /// Gaussians that are left out by chance; `None` = none.

@@ -1,7 +1,7 @@
 //! Images and gradients against gsplat's pure-torch reference in float64 (fixtures/reference/rasterize).
 
 use ffgs_arrays::NpzFile;
-use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PlanarImage};
+use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics, PixelFilter, PlanarImage};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
@@ -37,16 +37,15 @@ impl Case {
         gaussians.opacity_logits = f32s("in_opacity_logits").data;
         gaussians.sh = sh.data.as_chunks::<3>().0.to_vec();
         gaussians.validate().unwrap();
+        if scalar("antialiased") == 0 {
+            gaussians.filter = PixelFilter::Plain;
+        }
         let k = file.f64("in_K").unwrap().data;
         let intrinsics = Intrinsics { fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
         let size = ImageSize { width: scalar("width") as usize, height: scalar("height") as usize };
         let pose = DMat4::from_cols_slice(&file.f64("in_viewmat").unwrap().data).transpose();
         let background = f32s("in_background").data;
-        let options = RenderOptions {
-            antialiased: scalar("antialiased") != 0,
-            sh_degree: Some(scalar("sh_degree") as usize),
-            dropout: None,
-        };
+        let options = RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), dropout: None };
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         Self { gaussians, camera, background: [background[0], background[1], background[2]], options, file }
     }

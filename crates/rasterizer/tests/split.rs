@@ -1,7 +1,7 @@
 //! A layer cut in two at a depth per tile is, put together again, the layer.
 
 use ffgs_core::{Camera, Gaussians, ImageSize, Intrinsics};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, SplitLayers, TileDepths, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, SplitLayers, TileDepths, View};
 use ffgs_testkit::largest_difference;
 use glam::DMat4;
 
@@ -27,7 +27,7 @@ fn front_and_what_shows_of_the_rest_are_the_whole() {
     let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 35.0, cy: 25.0 };
     let camera = Camera::new(intrinsics, DMat4::IDENTITY, SIZE).unwrap();
     let view = View { camera: &camera, background: Background::Colour([0.2, 0.5, 0.9]), tiles: None };
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+    let rasterizer = CpuRasterizer::default();
     let (layer, moving) = (balls(120, 2.0, 8.0), balls(9, 4.0, 5.0));
 
     let mut tape = RenderTape::default();

@@ -101,7 +101,7 @@ fn find_seeds(
 fn depths(layer: &Gaussians, view: &TrainingView) -> Vec<f32> {
     let (tiles, background) = (TileMask::covering(&view.mask), Background::Colour([0.0; 3]));
     let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
-    let options = RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None };
+    let options = RenderOptions { sh_degree: Some(0), dropout: None };
     let top = CpuRasterizer::new(options).top_contributors(layer, &frame, 1, &mut RenderTape::default());
     let depth = |&i: &i32| -> Option<f32> {
         let place = Vec3::from(*layer.means.get(usize::try_from(i).ok()?)?);
@@ -113,7 +113,8 @@ fn depths(layer: &Gaussians, view: &TrainingView) -> Vec<f32> {
 fn of_seeds(seeds: &[Seed], scene: &Scene) -> Gaussians {
     let positions: Vec<[f32; 3]> = seeds.iter().map(|seed| seed.position.as_vec3().to_array()).collect();
     let colours: Vec<[f32; 3]> = seeds.iter().map(|seed| seed.colour).collect();
-    from_points(&positions, &colours, scene.static_layer.sh_degree(), INITIAL_OPACITY)
+    let born = from_points(&positions, &colours, scene.static_layer.sh_degree(), INITIAL_OPACITY);
+    born.with_filter(scene.static_layer.filter)
 }
 
 /// Those that show something, and where they are seen, something that lacked an explanation (`before`) has one (`after`).
@@ -171,10 +172,9 @@ mod tests {
             let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
             let intrinsics = Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
             let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
-            let options = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
             let shown = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
             let mut tape = RenderTape::default();
-            CpuRasterizer::new(options).render(moving, &shown, &mut tape);
+            CpuRasterizer::default().render(moving, &shown, &mut tape);
             let image: &PlanarImage = tape.image();
             let mask = tape.transmittance().iter().map(|&t| u8::from(t < 0.5)).collect();
             TrainingView { camera, image: ImageRgb8::from(image), mask: Mask::new(SIZE, mask).unwrap() }

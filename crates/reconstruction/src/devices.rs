@@ -147,7 +147,7 @@ impl<'a> Devices<'a> {
     /// # Errors
     /// When the device fails.
     pub fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
-        let options = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
+        let options = RenderOptions::default();
         let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };
         let views: Vec<View> = cameras.iter().zip(&behind).map(view).collect();

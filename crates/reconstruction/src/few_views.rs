@@ -3,7 +3,7 @@
 
 use crate::devices::Devices;
 use anyhow::Result;
-use ffgs_core::{Dynamic, Gaussians, Scene, TrainingView};
+use ffgs_core::{Dynamic, Scene, TrainingView};
 use ffgs_metrics::psnr;
 use ffgs_trainer::FirstFrame;
 
@@ -66,7 +66,7 @@ fn middle(views: &[TrainingView]) -> usize {
 
 fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], devices: Devices) -> Result<f64> {
     let cameras: Vec<_> = views.iter().map(|view| view.camera).collect();
-    let nothing = Gaussians::empty(trained.gaussians.sh_degree());
+    let nothing = trained.gaussians.select(&[]);
     let scene = Scene {
         hidden: Vec::new(),
         static_colours: Vec::new(),
@@ -82,7 +82,7 @@ fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], devices: Devices) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube};
+    use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube};
     use glam::{DMat4, DVec3};
 
     /// Cameras in a row that photograph a grey sky.

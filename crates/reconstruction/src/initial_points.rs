@@ -2,7 +2,7 @@
 
 use crate::config::ReconstructionConfig;
 use anyhow::{Context, Result};
-use ffgs_core::{ImageSize, SkyCube, TrainingView, spatial_order};
+use ffgs_core::{ImageSize, PixelFilter, SkyCube, TrainingView, spatial_order};
 use ffgs_method::Capture;
 use ffgs_trainer::{FirstFrame, INITIAL_OPACITY, from_points};
 
@@ -18,8 +18,9 @@ pub(crate) fn start(
         tracing::warn!("{repeated} initial points lie exactly where others lie and are left out");
     }
     let gaussians = from_points(&points.positions, &points.colours, degree, INITIAL_OPACITY);
-    let gaussians =
-        gaussians.select(&thinned(spatial_order(&gaussians.means), config.first_frame.max_points));
+    let chosen = gaussians.select(&thinned(spatial_order(&gaussians.means), config.first_frame.max_points));
+    let filter = if config.first_frame.antialiased { PixelFilter::Compensated } else { PixelFilter::Plain };
+    let gaussians = chosen.with_filter(filter);
     Ok(FirstFrame { gaussians, sky: SkyCube::filled(config.sky_face_size, mean_colour(views)) })
 }
 

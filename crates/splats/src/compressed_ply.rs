@@ -5,7 +5,7 @@ use crate::error::InFile;
 use crate::format::Format;
 use crate::ply_header::ply_comment;
 use crate::quantise::{smallest_three, unorm};
-use crate::{Problem, RenderMode, SplatError};
+use crate::{Problem, SplatError};
 use ffgs_core::{Gaussians, SH_C0, sigmoid, write_atomically};
 use std::io::Write;
 use std::ops::Range;
@@ -15,7 +15,7 @@ pub(crate) const FORMAT: Format = Format {
     name: "compressed-ply-seq",
     summary: "SuperSplat (as a sequence) and the PlayCanvas engine",
     extension: ".compressed.ply",
-    write: |file, splats, mode| write_compressed_ply(file, splats.gaussians, mode),
+    write: |file, splats| write_compressed_ply(file, splats.gaussians),
     read: None,
 };
 
@@ -52,11 +52,7 @@ const BOUNDS: [&str; 18] = [
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-pub(crate) fn write_compressed_ply(
-    path: &Path,
-    gaussians: &Gaussians,
-    mode: RenderMode,
-) -> Result<(), SplatError> {
+pub(crate) fn write_compressed_ply(path: &Path, gaussians: &Gaussians) -> Result<(), SplatError> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
     let chunks: Vec<Range<usize>> = (0..gaussians.len())
         .step_by(CHUNK)
@@ -64,7 +60,7 @@ pub(crate) fn write_compressed_ply(
         .collect();
     let bounds: Vec<Bounds> = chunks.iter().map(|rows| Bounds::of(gaussians, rows.clone())).collect();
     write_atomically(path, |out| -> Result<(), Problem> {
-        out.write_all(header(gaussians, chunks.len(), mode).as_bytes())?;
+        out.write_all(header(gaussians, chunks.len()).as_bytes())?;
         for value in bounds.iter().flat_map(Bounds::values) {
             out.write_all(&value.to_le_bytes())?;
         }
@@ -81,7 +77,7 @@ pub(crate) fn write_compressed_ply(
     .in_file(path)
 }
 
-fn header(gaussians: &Gaussians, chunks: usize, mode: RenderMode) -> String {
+fn header(gaussians: &Gaussians, chunks: usize) -> String {
     let (n, rest) = (gaussians.len(), 3 * (gaussians.sh_stride() - 1));
     let properties = |kind: &str, names: &mut dyn Iterator<Item = String>| {
         let lines: Vec<String> = names.map(|name| format!("property {kind} {name}\n")).collect();
@@ -96,7 +92,7 @@ fn header(gaussians: &Gaussians, chunks: usize, mode: RenderMode) -> String {
         let names = properties("uchar", &mut (0..rest).map(|i| format!("f_rest_{i}")));
         format!("element sh {n}\n{names}")
     };
-    let mode = ply_comment(mode);
+    let mode = ply_comment(gaussians.filter);
     format!(
         "ply\nformat binary_little_endian 1.0\n{mode}element chunk {chunks}\n{bounds}element vertex {n}\n{packed}\
          {harmonics}end_header\n"

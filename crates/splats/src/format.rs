@@ -2,10 +2,10 @@
 
 use crate::SplatError;
 use ffgs_core::Gaussians;
-use ffgs_method::{Fault, Plugin, RenderMode, SplatWriter, Splats};
+use ffgs_method::{Fault, Plugin, SplatWriter, Splats};
 use std::path::Path;
 
-type Write = fn(&Path, &Splats, RenderMode) -> Result<(), SplatError>;
+type Write = fn(&Path, &Splats) -> Result<(), SplatError>;
 type Read = fn(&Path) -> Result<Gaussians, SplatError>;
 
 /// What a format's file says of it.
@@ -32,8 +32,8 @@ impl SplatWriter for Format {
         self.extension
     }
 
-    fn write(&self, file: &Path, splats: &Splats, mode: RenderMode) -> Result<(), Fault> {
-        (self.write)(file, splats, mode)
+    fn write(&self, file: &Path, splats: &Splats) -> Result<(), Fault> {
+        (self.write)(file, splats)
             .map_err(|e| fault(&e, "make room on the disk, or choose another folder or format"))
     }
 

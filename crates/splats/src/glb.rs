@@ -13,7 +13,7 @@ pub(crate) const FORMAT: Format = Format {
     name: "glb",
     summary: "viewers of glTF with KHR_gaussian_splatting",
     extension: ".glb",
-    write: |file, splats, _| write_glb(file, splats.gaussians),
+    write: |file, splats| write_glb(file, splats.gaussians),
     read: None,
 };
 
@@ -26,7 +26,7 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 /// Coefficients of each degree.
 const OF_DEGREE: [usize; 4] = [1, 3, 5, 7];
 
-/// Writes a GLB file. The extension knows no opacity compensation: hand over Gaussians baked for plain viewers.
+/// Writes a GLB file. The extension knows no opacity compensation: hand over Gaussians of the plain filter.
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written or would be larger than the format allows (4 GiB).

@@ -21,7 +21,7 @@ mod spz;
 
 pub use checkpoint::{FrameState, load_checkpoint, save_checkpoint};
 pub use error::{Problem, SplatError};
-pub use ffgs_method::{Followed, RenderMode};
+pub use ffgs_method::Followed;
 pub use formats::FORMATS;
 pub use ply_read::{PlySplats, read_ply};
 pub use ply_write::write_ply;

@@ -1,6 +1,7 @@
 //! The header of a PLY file: its encoding, elements and properties.
 
-use crate::{Problem, RenderMode};
+use crate::Problem;
+use ffgs_core::PixelFilter;
 use std::io::{BufRead, Read};
 
 /// A header longer than this is not a splat file (ours has under 3 KiB).
@@ -84,6 +85,8 @@ impl Element {
 pub(crate) struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
+    /// As a comment says; plain without one.
+    pub filter: PixelFilter,
 }
 
 /// Reads up to and including `end_header`.
@@ -94,11 +97,13 @@ pub(crate) fn read_header(reader: &mut impl BufRead) -> Result<Header, Problem> 
     }
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    let mut filter = PixelFilter::Plain;
     loop {
         let line = next_line(&mut reader)?;
         let words: Vec<&str> = line.split_whitespace().collect();
         match words.as_slice() {
             ["end_header"] => break,
+            ["comment", "SplatRenderMode:", "mip"] => filter = PixelFilter::Compensated,
             [] | ["comment" | "obj_info", ..] => {}
             ["format", name, _version] => encoding = Some(parse_encoding(name)?),
             ["element", name, count] => elements.push(parse_element(name, count)?),
@@ -112,7 +117,7 @@ pub(crate) fn read_header(reader: &mut impl BufRead) -> Result<Header, Problem> 
         }
     }
     let encoding = encoding.ok_or_else(|| Problem::Header("no `format` line".into()))?;
-    Ok(Header { encoding, elements })
+    Ok(Header { encoding, elements, filter })
 }
 
 fn next_line(reader: &mut impl BufRead) -> Result<String, Problem> {
@@ -151,10 +156,10 @@ fn parse_property(words: &[&str], line: &str) -> Result<Property, Problem> {
     Ok(Property { name: (*name).to_owned(), list_count, scalar: Scalar::parse(scalar)? })
 }
 
-/// Line of a header that names the mode, as Brush and splat-transform read it; nothing for plain files.
-pub(crate) fn ply_comment(mode: RenderMode) -> &'static str {
-    match mode {
-        RenderMode::Mip => "comment SplatRenderMode: mip\n",
-        RenderMode::Plain => "",
+/// Line of a header that names the filter, as Brush and splat-transform read it; nothing for plain files.
+pub(crate) fn ply_comment(filter: PixelFilter) -> &'static str {
+    match filter {
+        PixelFilter::Compensated => "comment SplatRenderMode: mip\n",
+        PixelFilter::Plain => "",
     }
 }

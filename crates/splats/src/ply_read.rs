@@ -42,7 +42,9 @@ fn read_file(path: &Path) -> Result<PlySplats, Problem> {
     for element in &header.elements {
         left = room_for(element, header.encoding, left)?;
         if element.name == "vertex" {
-            return read_vertices(&mut body, element);
+            let mut out = read_vertices(&mut body, element)?;
+            out.gaussians.filter = header.filter;
+            return Ok(out);
         }
         for _ in 0..element.count {
             body.row(&element.properties, |_, _| ())?;

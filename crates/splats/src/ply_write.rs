@@ -3,7 +3,7 @@
 use crate::error::InFile;
 use crate::format::Format;
 use crate::ply_header::ply_comment;
-use crate::{Followed, Problem, RenderMode, SplatError};
+use crate::{Followed, Problem, SplatError};
 use ffgs_core::{Gaussians, write_atomically};
 use glam::DMat3;
 use std::io::Write;
@@ -13,26 +13,21 @@ pub(crate) const FORMAT: Format = Format {
     name: "ply-seq",
     summary: "SuperSplat (as a sequence), Brush and every viewer; exact, 248 bytes per Gaussian of SH degree 3",
     extension: ".ply",
-    write: |file, splats, mode| write_ply(file, splats.gaussians, splats.followed, mode),
+    write: |file, splats| write_ply(file, splats.gaussians, splats.followed),
     read: Some(|file| crate::read_ply(file).map(|ply| ply.gaussians)),
 };
 
 /// Writes a binary little-endian 3DGS PLY that other viewers open: `x y z nx ny nz f_dc_* f_rest_*` (channel-major)
 /// `opacity scale_* rot_*` (w, x, y, z), all f32. What is `tracked` becomes the extra properties
-/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz` (f32) and `id` (u32). A header comment names the mode of what ordinary viewers
-/// draw wrongly.
+/// `cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz` (f32) and `id` (u32). A header comment names the filter of what ordinary
+/// viewers draw wrongly.
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-pub fn write_ply(
-    path: &Path,
-    gaussians: &Gaussians,
-    tracked: Option<Followed>,
-    mode: RenderMode,
-) -> Result<(), SplatError> {
+pub fn write_ply(path: &Path, gaussians: &Gaussians, tracked: Option<Followed>) -> Result<(), SplatError> {
     check(gaussians, tracked).in_file(path)?;
     write_atomically(path, |out| -> Result<(), Problem> {
-        out.write_all(header(gaussians, tracked.is_some(), mode).as_bytes())?;
+        out.write_all(header(gaussians, tracked.is_some()).as_bytes())?;
         let mut row = Vec::new();
         for i in 0..gaussians.len() {
             row.clear();
@@ -61,7 +56,7 @@ fn check(gaussians: &Gaussians, tracked: Option<Followed>) -> Result<(), Problem
     }
 }
 
-fn header(gaussians: &Gaussians, with_tracked: bool, mode: RenderMode) -> String {
+fn header(gaussians: &Gaussians, with_tracked: bool) -> String {
     let rest = 3 * (gaussians.sh_stride() - 1);
     let numbered = |name: &'static str, n: usize| (0..n).map(move |i| format!("{name}_{i}"));
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
@@ -77,7 +72,7 @@ fn header(gaussians: &Gaussians, with_tracked: bool, mode: RenderMode) -> String
     }
     let vertices = gaussians.len();
     let properties = properties.concat();
-    let comment = ply_comment(mode);
+    let comment = ply_comment(gaussians.filter);
     let element = format!("element vertex {vertices}");
     format!("ply\nformat binary_little_endian 1.0\n{comment}{element}\n{properties}end_header\n")
 }

@@ -5,8 +5,8 @@ use crate::codebook::{codebook, nearest, palette};
 use crate::error::InFile;
 use crate::format::Format;
 use crate::quantise::{smallest_three, to_byte};
-use crate::{Problem, RenderMode, SplatError};
-use ffgs_core::{Gaussians, sigmoid, write_atomically};
+use crate::{Problem, SplatError};
+use ffgs_core::{Gaussians, PixelFilter, sigmoid, write_atomically};
 use image_webp::{ColorType, WebPEncoder};
 use serde_json::{Value, json};
 use std::f32::consts::SQRT_2;
@@ -19,7 +19,7 @@ pub(crate) const FORMAT: Format = Format {
     name: "sog",
     summary: "the PlayCanvas engine, also as a flipbook, and SuperSplat",
     extension: ".sog",
-    write: |file, splats, mode| write_sog(file, splats.gaussians, mode),
+    write: |file, splats| write_sog(file, splats.gaussians),
     read: None,
 };
 
@@ -36,13 +36,13 @@ const MAX_EDGE: usize = 16_383;
 ///
 /// # Errors
 /// When the columns do not match, there are more Gaussians than a texture holds, or the file cannot be written.
-pub(crate) fn write_sog(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
+pub(crate) fn write_sog(path: &Path, gaussians: &Gaussians) -> Result<(), SplatError> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string())).in_file(path)?;
-    let bytes = bundle(gaussians, mode).in_file(path)?;
+    let bytes = bundle(gaussians).in_file(path)?;
     write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
 }
 
-fn bundle(g: &Gaussians, mode: RenderMode) -> Result<Vec<u8>, Problem> {
+fn bundle(g: &Gaussians) -> Result<Vec<u8>, Problem> {
     let size = texture_size(g.len())?;
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let mut add = |name: &str, texture: &Texture| store(&mut zip, name, &texture.encode()?);
@@ -67,7 +67,7 @@ fn bundle(g: &Gaussians, mode: RenderMode) -> Result<Vec<u8>, Problem> {
         "quats": { "files": ["quats.webp"] },
         "sh0": { "codebook": filled_codebook(colours), "files": ["sh0.webp"] },
     });
-    if mode == RenderMode::Mip {
+    if g.filter == PixelFilter::Compensated {
         meta["model"] = "antialiased".into();
     }
     if g.sh_degree() > 0 && !g.is_empty() {

@@ -6,8 +6,8 @@ use crate::bytes::Cursor;
 use crate::error::InFile;
 use crate::format::Format;
 use crate::quantise::{from_smallest_three, smallest_three, to_byte};
-use crate::{Problem, RenderMode, SplatError};
-use ffgs_core::{Gaussians, logit, read_bytes, sigmoid, write_atomically};
+use crate::{Problem, SplatError};
+use ffgs_core::{Gaussians, PixelFilter, logit, read_bytes, sigmoid, write_atomically};
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -16,8 +16,8 @@ pub(crate) const FORMAT: Format = Format {
     name: "spz",
     summary: "players of Niantic's SPZ, version 4",
     extension: ".spz",
-    write: |file, splats, mode| write_spz(file, splats.gaussians, mode),
-    read: Some(|file| read_spz(file).map(|(gaussians, _)| gaussians)),
+    write: |file, splats| write_spz(file, splats.gaussians),
+    read: Some(read_spz),
 };
 
 const MAGIC: &[u8; 4] = b"NGSP";
@@ -53,8 +53,8 @@ const SH_BITS: [u32; 2] = [5, 4];
 ///
 /// # Errors
 /// When the columns do not match, or the file cannot be written.
-fn write_spz(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(), SplatError> {
-    let bytes = encode_spz(gaussians, mode).in_file(path)?;
+fn write_spz(path: &Path, gaussians: &Gaussians) -> Result<(), SplatError> {
+    let bytes = encode_spz(gaussians).in_file(path)?;
     write_atomically(path, |out| out.write_all(&bytes)).in_file(path)
 }
 
@@ -62,7 +62,7 @@ fn write_spz(path: &Path, gaussians: &Gaussians, mode: RenderMode) -> Result<(),
 ///
 /// # Errors
 /// When the file cannot be read, is of another version, truncated or corrupt.
-fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
+fn read_spz(path: &Path) -> Result<Gaussians, SplatError> {
     let bytes = read_bytes(path, MAX_BYTES).in_file(path)?;
     decode_spz(&bytes).in_file(path)
 }
@@ -71,7 +71,7 @@ fn read_spz(path: &Path) -> Result<(Gaussians, RenderMode), SplatError> {
 ///
 /// # Errors
 /// When the columns do not match.
-fn encode_spz(gaussians: &Gaussians, mode: RenderMode) -> Result<Vec<u8>, Problem> {
+fn encode_spz(gaussians: &Gaussians) -> Result<Vec<u8>, Problem> {
     gaussians.validate().map_err(|e| Problem::Shape(e.to_string()))?;
     let fraction = fraction_bits(gaussians);
     let streams = streams(gaussians, fraction);
@@ -81,7 +81,10 @@ fn encode_spz(gaussians: &Gaussians, mode: RenderMode) -> Result<Vec<u8>, Proble
     out.extend(MAGIC);
     out.extend(VERSION.to_le_bytes());
     out.extend((gaussians.len() as u32).to_le_bytes());
-    let flags = if mode == RenderMode::Mip { ANTIALIASED } else { 0 };
+    let flags = match gaussians.filter {
+        PixelFilter::Compensated => ANTIALIASED,
+        PixelFilter::Plain => 0,
+    };
     out.extend([gaussians.sh_degree() as u8, fraction as u8, flags, streams.len() as u8]);
     out.extend((HEAD as u32).to_le_bytes());
     out.resize(HEAD, 0);
@@ -160,9 +163,9 @@ fn unpack_rotation(word: u32) -> [f32; 4] {
 ///
 /// # Errors
 /// When they are of another version, truncated or corrupt.
-pub fn decode_spz(bytes: &[u8]) -> Result<(Gaussians, RenderMode), Problem> {
+pub fn decode_spz(bytes: &[u8]) -> Result<Gaussians, Problem> {
     let header = Header::read(bytes)?;
-    let mut out = Gaussians::empty(header.sh_degree);
+    let mut out = Gaussians::empty(header.sh_degree).with_filter(header.filter);
     let n = header.count;
     let sizes = [9, 1, 3, 3, 4, 3 * (out.sh_stride() - 1)].map(|bytes_each| n.saturating_mul(bytes_each));
     let sizes = if header.sh_degree == 0 { &sizes[..5] } else { &sizes[..] };
@@ -185,14 +188,14 @@ pub fn decode_spz(bytes: &[u8]) -> Result<(Gaussians, RenderMode), Problem> {
         out.sh.push(*dc);
         out.sh.extend_from_slice(&rest[i * above..(i + 1) * above]);
     }
-    Ok((out, header.mode))
+    Ok(out)
 }
 
 struct Header {
     count: usize,
     sh_degree: usize,
     fraction: u32,
-    mode: RenderMode,
+    filter: PixelFilter,
     streams: usize,
     contents: usize,
 }
@@ -216,7 +219,7 @@ impl Header {
             count: word(8) as usize,
             sh_degree: sh_degree.into(),
             fraction: fraction.into(),
-            mode: if flags & ANTIALIASED == 0 { RenderMode::Plain } else { RenderMode::Mip },
+            filter: if flags & ANTIALIASED == 0 { PixelFilter::Plain } else { PixelFilter::Compensated },
             streams: streams.into(),
             contents: word(16) as usize,
         })

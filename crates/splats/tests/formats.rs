@@ -1,9 +1,8 @@
 //! The formats of today's players: what a file holds is what was written, to the format's precision.
 
-use ffgs_core::{Gaussians, sigmoid};
+use ffgs_core::{Gaussians, PixelFilter, sigmoid};
 use ffgs_splats::{
-    FORMATS, Panorama, RenderMode, decode_spz, encode_sky_equirectangular, read_ply,
-    write_sky_equirectangular,
+    FORMATS, Panorama, decode_spz, encode_sky_equirectangular, read_ply, write_sky_equirectangular,
 };
 use glam::{Quat, Vec3};
 use std::path::Path;
@@ -66,9 +65,9 @@ fn assert_within(found: [f32; 6], limits: [f32; 6]) {
 }
 
 /// The bytes of a file in a registered format.
-fn written(format: &str, g: &Gaussians, mode: RenderMode) -> Vec<u8> {
+fn written(format: &str, g: &Gaussians) -> Vec<u8> {
     let file = tempfile::NamedTempFile::new().unwrap();
-    FORMATS.find(format).unwrap().write(file.path(), &g.into(), mode).unwrap();
+    FORMATS.find(format).unwrap().write(file.path(), &g.into()).unwrap();
     std::fs::read(file.path()).unwrap()
 }
 
@@ -79,13 +78,12 @@ const SPZ: [f32; 6] = [1.3e-4, 0.032, 0.002, 0.0132, 1.0 / 16.0 + 1.0 / 256.0 + 
 fn spz_comes_back_within_half_a_step() {
     for degree in 0..=3 {
         let g = some_gaussians(300, degree);
-        let bytes = written("spz", &g, RenderMode::Mip);
-        let (back, mode) = decode_spz(&bytes).unwrap();
-        assert_eq!(mode, RenderMode::Mip);
+        let back = decode_spz(&written("spz", &g)).unwrap();
+        assert_eq!(back.filter, PixelFilter::Compensated);
         assert_within(differences(&g, &back), SPZ);
     }
-    let plain = written("spz", &some_gaussians(3, 0), RenderMode::Plain);
-    assert_eq!(decode_spz(&plain).unwrap().1, RenderMode::Plain);
+    let plain = some_gaussians(3, 0).with_filter(PixelFilter::Plain);
+    assert_eq!(decode_spz(&written("spz", &plain)).unwrap().filter, PixelFilter::Plain);
 }
 
 #[test]
@@ -94,7 +92,7 @@ fn spz_positions_follow_the_size_of_the_scene_and_of_its_gaussians() {
         let mut g = some_gaussians(100, 0);
         g.means.as_flattened_mut().iter_mut().for_each(|v| *v *= scale);
         g.log_scales.as_flattened_mut().iter_mut().for_each(|v| *v += scale.ln());
-        let (back, _) = decode_spz(&written("spz", &g, RenderMode::Plain)).unwrap();
+        let back = decode_spz(&written("spz", &g)).unwrap();
         let found = differences(&g, &back)[0];
         assert!(found < step, "{scale}: {found}");
     }
@@ -102,7 +100,7 @@ fn spz_positions_follow_the_size_of_the_scene_and_of_its_gaussians() {
 
 #[test]
 fn a_damaged_spz_is_an_error_and_never_a_panic() {
-    let good = written("spz", &some_gaussians(40, 1), RenderMode::Mip);
+    let good = written("spz", &some_gaussians(40, 1));
     for length in 0..good.len() {
         assert!(decode_spz(&good[..length]).is_err(), "{length} bytes");
     }
@@ -123,7 +121,7 @@ fn every_format_writes_every_degree_and_an_empty_set() {
     for format in FORMATS.items {
         for g in [some_gaussians(700, 3), some_gaussians(1, 1), some_gaussians(5, 0), Gaussians::empty(2)] {
             let path = folder.path().join(format!("a{}", format.extension()));
-            format.write(&path, &(&g).into(), RenderMode::Plain).unwrap();
+            format.write(&path, &(&g).into()).unwrap();
             assert!(std::fs::metadata(&path).unwrap().len() > 0, "{}", format.name());
         }
     }
@@ -132,12 +130,18 @@ fn every_format_writes_every_degree_and_an_empty_set() {
 }
 
 #[test]
-fn a_header_names_the_mode() {
+fn a_header_names_the_filter() {
     let folder = tempfile::tempdir().unwrap();
     for format in &FORMATS.items[..2] {
         let path = folder.path().join(format!("a{}", format.extension()));
-        for (mode, named) in [(RenderMode::Mip, true), (RenderMode::Plain, false)] {
-            format.write(&path, &(&some_gaussians(3, 0)).into(), mode).unwrap();
+        for (filter, named) in [(PixelFilter::Compensated, true), (PixelFilter::Plain, false)] {
+            let gaussians = some_gaussians(3, 0).with_filter(filter);
+            format.write(&path, &(&gaussians).into()).unwrap();
+            assert!(
+                format.read(&path).is_none_or(|read| read.unwrap().filter == filter),
+                "{}",
+                format.name()
+            );
             let text = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
             assert_eq!(text.contains("comment SplatRenderMode: mip\n"), named, "{}", format.name());
         }
@@ -147,7 +151,7 @@ fn a_header_names_the_mode() {
 #[test]
 fn a_glb_is_complete_and_its_table_fits_its_bytes() {
     let g = some_gaussians(10, 2);
-    let bytes = written("glb", &g, RenderMode::Mip);
+    let bytes = written("glb", &g);
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((word(0), word(4), word(8)), (0x4654_6c67, 2, bytes.len()));
     let text = word(12);
@@ -225,7 +229,7 @@ fn players_read_what_was_written() {
     for format in FORMATS.items.iter().filter(|f| f.name() != "glb") {
         let g = some_gaussians(2000, 3);
         let written = folder.path().join(format!("a{}", format.extension()));
-        format.write(&written, &(&g).into(), RenderMode::Mip).unwrap();
+        format.write(&written, &(&g).into()).unwrap();
         let back = folder.path().join("back.ply");
         transform(&judge, &written, &back);
         let text = String::from_utf8_lossy(&std::fs::read(&back).unwrap()[..200]).into_owned();

@@ -1,7 +1,7 @@
 //! Splat PLY: round trips, foreign files, hostile files.
 
 use ffgs_core::{Gaussians, sh_coefficients};
-use ffgs_splats::{Followed, Problem, RenderMode, read_ply, write_ply};
+use ffgs_splats::{Followed, Problem, read_ply, write_ply};
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;
 use std::fs;
@@ -47,7 +47,7 @@ fn every_degree_survives_a_round_trip() {
     let scratch = Scratch::new();
     for degree in 0..=3 {
         let g = some_gaussians(7, degree);
-        write_ply(&scratch.path(), &g, None, RenderMode::Mip).unwrap();
+        write_ply(&scratch.path(), &g, None).unwrap();
         let back = read_ply(&scratch.path()).unwrap();
         assert_eq!((back.gaussians, back.covariances), (g, None));
     }
@@ -62,20 +62,16 @@ fn covariances_and_ids_survive_and_an_empty_set_is_a_file() {
         DVec3::new(0.25, 0.125, 3.0),
     );
     let tracked = Followed { covariances: &[m, m * 2.0], ids: &[7, u32::MAX] };
-    write_ply(&scratch.path(), &some_gaussians(2, 1), Some(tracked), RenderMode::Mip).unwrap();
+    write_ply(&scratch.path(), &some_gaussians(2, 1), Some(tracked)).unwrap();
     let back = read_ply(&scratch.path()).unwrap();
     assert_eq!(back.covariances.unwrap(), [m, m * 2.0]);
     assert_eq!(back.ids.unwrap(), [7, u32::MAX]);
     let none = Followed { covariances: &[], ids: &[] };
-    write_ply(&scratch.path(), &Gaussians::empty(3), Some(none), RenderMode::Mip).unwrap();
+    write_ply(&scratch.path(), &Gaussians::empty(3), Some(none)).unwrap();
     assert!(read_ply(&scratch.path()).unwrap().gaussians.is_empty());
-    let error = write_ply(
-        &scratch.path(),
-        &some_gaussians(2, 1),
-        Some(Followed { covariances: &[m], ids: &[1] }),
-        RenderMode::Mip,
-    )
-    .unwrap_err();
+    let error =
+        write_ply(&scratch.path(), &some_gaussians(2, 1), Some(Followed { covariances: &[m], ids: &[1] }))
+            .unwrap_err();
     assert!(matches!(error.problem, Problem::Shape(_)));
 }
 
@@ -86,7 +82,7 @@ fn f_rest_is_channel_major() {
     for k in 0..4 {
         g.sh[k] = [k as f32, 10.0 + k as f32, 20.0 + k as f32];
     }
-    write_ply(&scratch.path(), &g, None, RenderMode::Mip).unwrap();
+    write_ply(&scratch.path(), &g, None).unwrap();
     let bytes = fs::read(scratch.path()).unwrap();
     let body = &bytes[bytes.len() - 26 * 4..];
     let row: Vec<f32> = body.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
@@ -134,7 +130,7 @@ fn hostile_files_are_errors_that_name_the_file() {
 #[test]
 fn every_truncation_is_an_error() {
     let scratch = Scratch::new();
-    write_ply(&scratch.path(), &some_gaussians(2, 0), None, RenderMode::Mip).unwrap();
+    write_ply(&scratch.path(), &some_gaussians(2, 0), None).unwrap();
     let bytes = fs::read(scratch.path()).unwrap();
     for length in 0..bytes.len() {
         scratch.problem_with(&bytes[..length]);

@@ -3,7 +3,7 @@
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{READABLE, VERSION};
 use crate::steps::Steps;
-use ffgs_core::read_text;
+use ffgs_core::{PixelFilter, read_text};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -45,6 +45,11 @@ impl Manifest {
     pub(crate) fn stamp(&mut self) {
         FORMAT.clone_into(&mut self.format);
         self.version = VERSION;
+    }
+
+    /// With which its Gaussians are drawn.
+    pub fn filter(&self) -> PixelFilter {
+        if self.antialiased { PixelFilter::Compensated } else { PixelFilter::Plain }
     }
 
     /// Reads and checks a stream's manifest.

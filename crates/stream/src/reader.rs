@@ -7,7 +7,7 @@ use crate::layers::{decode_change, decode_colours, decode_key, decode_uncertaint
 use crate::manifest::{Entry, Manifest, read_entries};
 use crate::row::Row;
 use crate::steps::Steps;
-use ffgs_core::{Gaussians, read_bytes};
+use ffgs_core::{Gaussians, PixelFilter, read_bytes};
 use std::path::{Path, PathBuf};
 
 /// A frame as a player shows it.
@@ -92,10 +92,11 @@ impl Reader {
             self.state = Some(self.apply(state, step)?);
         }
         let state = self.state.as_ref().ok_or_else(missing).in_file(&self.folder)?;
+        let filter = self.manifest.filter();
         Ok(DecodedFrame {
             frame,
-            static_layer: gaussians(&state.still, &self.manifest.static_steps),
-            dynamic_layer: gaussians(&state.moving, &self.manifest.dynamic_steps),
+            static_layer: gaussians(&state.still, &self.manifest.static_steps, filter),
+            dynamic_layer: gaussians(&state.moving, &self.manifest.dynamic_steps, filter),
             uncertainty: state.uncertainty.clone(),
             sky: state.sky.clone(),
         })
@@ -203,8 +204,8 @@ impl State {
     }
 }
 
-fn gaussians(rows: &[Row], steps: &Steps) -> Gaussians {
-    let mut out = Gaussians::empty(steps.sh_degree);
+fn gaussians(rows: &[Row], steps: &Steps, filter: PixelFilter) -> Gaussians {
+    let mut out = Gaussians::empty(steps.sh_degree).with_filter(filter);
     rows.iter().for_each(|row| steps.push(row, &mut out));
     out
 }

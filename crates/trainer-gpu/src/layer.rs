@@ -21,7 +21,6 @@ pub struct GpuLayer<'a> {
     device: &'a SceneDevice,
     layer: &'a mut Arc<Gaussians>,
     columns: Columns,
-    options: RenderOptions,
     targets: Vec<Target>,
     around: Surroundings<'a>,
     prior: Option<GpuPrior>,
@@ -37,7 +36,7 @@ pub struct GpuLayer<'a> {
 
 impl<'a> GpuLayer<'a> {
     pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
-        let LayerTask { layer, columns, views, around, prior, antialiased, fixed, .. } = task;
+        let LayerTask { layer, columns, views, around, prior, fixed, .. } = task;
         let gpu = &device.gpu;
         let mut workspace = Workspace::new(gpu, layer.len(), largest_view(&views))?;
         let targets = targets(&around, &workspace, &views)?;
@@ -64,7 +63,6 @@ impl<'a> GpuLayer<'a> {
         let mut training = Self {
             device,
             columns,
-            options: RenderOptions { antialiased, ..OPTIONS },
             around,
             prior,
             layer,
@@ -80,7 +78,7 @@ impl<'a> GpuLayer<'a> {
     }
 
     fn fit(&mut self) -> Result<(), GpuError> {
-        self.workspace.fit(&self.optimiser.scene, &self.targets, self.options)
+        self.workspace.fit(&self.optimiser.scene, &self.targets, OPTIONS)
     }
 
     /// The commands of the step at hand.
@@ -148,7 +146,7 @@ impl Training for GpuLayer<'_> {
         let mut commands = self.recording();
         let Self { workspace, optimiser, targets, .. } = self;
         let (scene, target) = (&optimiser.scene, &targets[view]);
-        let options = RenderOptions { sh_degree, dropout, ..self.options };
+        let options = RenderOptions { sh_degree, dropout };
         prepare(workspace.gpu, scene, &target.view, &workspace.scratch, options, self.stamp);
         self.around.draw(&mut commands, target);
         render(&mut commands, scene, &target.view, &workspace.scratch);

@@ -173,6 +173,6 @@ impl<'a> Optimiser<'a> {
         let geometry = carried(&moments.geometry, GEOMETRY_WIDTH, dropped)?;
         let sh = carried(&moments.sh, self.sh_width(), NEW)?;
         gpu.submit(commands)?;
-        Ok(GpuScene { geometry, sh, count: rows, sh_degree: moments.sh_degree })
+        Ok(GpuScene { geometry, sh, count: rows, ..moments.clone() })
     }
 }

@@ -136,26 +136,15 @@ pub struct LayerTask<'a> {
     pub prior: Option<Prior<'a>>,
     /// Whether density control will ask for gradient sums.
     pub sums_gradients: bool,
-    /// Whether splats are drawn with the compensation of Mip-Splatting.
-    pub antialiased: bool,
     /// Number of Gaussians at the front that are drawn and stay as they are.
     pub fixed: usize,
 }
 
 impl<'a> LayerTask<'a> {
-    /// All parameters of all Gaussians, antialiased, without a prior and without density control.
+    /// All parameters of all Gaussians, without a prior and without density control.
     pub fn new(layer: &'a mut Arc<Gaussians>, views: Vec<TaskView<'a>>, around: Around<'a>) -> Self {
         let columns = Columns::ALL;
-        Self {
-            layer,
-            columns,
-            views,
-            around,
-            prior: None,
-            sums_gradients: false,
-            antialiased: true,
-            fixed: 0,
-        }
+        Self { layer, columns, views, around, prior: None, sums_gradients: false, fixed: 0 }
     }
 }
 

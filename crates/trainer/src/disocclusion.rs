@@ -130,7 +130,7 @@ mod tests {
     use super::*;
     use crate::{CpuBackend, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
-    use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+    use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
     use glam::DMat4;
 
     const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
@@ -144,8 +144,7 @@ mod tests {
     fn drawn(camera: &Camera, layer: &Gaussians) -> ImageRgb8 {
         let frame = View { camera, background: Background::Colour([0.5; 3]), tiles: None };
         let mut tape = RenderTape::default();
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-            .render(layer, &frame, &mut tape);
+        CpuRasterizer::default().render(layer, &frame, &mut tape);
         let bytes = (0..SIZE.pixels()).flat_map(|p| tape.image().pixel(p).map(|v| (v * 255.0).round() as u8));
         ImageRgb8::new(SIZE, bytes.collect()).unwrap()
     }

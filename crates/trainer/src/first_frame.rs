@@ -20,6 +20,8 @@ pub struct FirstFrameConfig {
     pub iterations: usize,
     /// SH degree of the colours (0..=3); one degree more is switched on at each tenth of the steps.
     pub sh_degree: usize,
+    /// Whether Gaussians are drawn with the opacity compensation of Mip-Splatting, here and in all later frames.
+    pub antialiased: bool,
     /// Position rate at the first step, as a share of the scene's extent.
     pub position_rate: f32,
     /// Position rate at the last step, likewise.
@@ -55,6 +57,7 @@ impl Default for FirstFrameConfig {
         Self {
             iterations: 3000,
             sh_degree: 3,
+            antialiased: true,
             position_rate: 2e-4,
             position_rate_end: 2e-6,
             scale_rate: 1.5e-2,

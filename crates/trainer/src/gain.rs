@@ -2,7 +2,7 @@
 
 use crate::background::SkyBehind;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, View};
 
 /// Longest distance at which errors of pixels are compared (px).
 const MAX_LAG: usize = 6;
@@ -34,7 +34,7 @@ pub struct Gain {
 /// The information that the views hold on the last of the `layers`, which are rendered together. Foreground and background
 /// have each their own noise in every view, so that a camera that fits badly counts less.
 pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingView]) -> Gain {
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+    let rasterizer = CpuRasterizer::default();
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
     let mut information = layers
         .last()

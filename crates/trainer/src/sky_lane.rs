@@ -4,7 +4,7 @@ use crate::backend::{SkyTask, SkyTraining, TaskView, TrainBackend};
 use crate::background::{BackgroundConfig, outside};
 use crate::schedule::Epochs;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use std::sync::Arc;
 
 /// Pixels that let more than this through show the sky.
@@ -27,8 +27,7 @@ pub fn shows_sky(layer: &Gaussians, views: &[TrainingView]) -> bool {
 /// Renders a layer before black.
 pub(crate) fn render_alone(layer: &Gaussians, view: &TrainingView, tape: &mut RenderTape) {
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(layer, &frame, tape);
+    CpuRasterizer::default().render(layer, &frame, tape);
 }
 
 /// Finetunes the sky through the transmittance that `layer` leaves.

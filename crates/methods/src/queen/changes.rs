@@ -4,7 +4,7 @@ use super::QueenConfig;
 use crate::photographs::Comparison;
 use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
 use ffgs_method::Step;
-use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderTape, View};
 use ffgs_trainer::SkyView;
 
 /// Per Gaussian, the sum over the views of the norm by which its projected place would move otherwise for the photographs at t than for
@@ -61,7 +61,7 @@ pub(super) fn masks(
 }
 
 fn opaque(gaussians: &Gaussians, camera: &Camera) -> Mask {
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+    let rasterizer = CpuRasterizer::default();
     let (view, mut tape) =
         (View { camera, background: Background::Colour([0.0; 3]), tiles: None }, RenderTape::default());
     rasterizer.render(gaussians, &view, &mut tape);

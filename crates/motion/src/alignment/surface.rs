@@ -2,9 +2,7 @@
 
 use ffgs_core::{Camera, Gaussians, PlanarImage, TrainingView};
 use ffgs_fusion::Groups;
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, TopContributors, View,
-};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, TopContributors, View};
 use glam::{DVec2, DVec3};
 
 /// A point of the surface that a pixel shows.
@@ -36,7 +34,7 @@ pub(crate) fn surface_points(
     let (tiles, photograph) = (TileMask::covering(&view.mask), PlanarImage::from(&view.image));
     let background = Background::Image(&photograph);
     let shown = View { camera: &view.camera, background, tiles: Some(&tiles) };
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None });
+    let rasterizer = CpuRasterizer::default();
     let mut tape = RenderTape::default();
     let top = rasterizer.top_contributors(layer, &shown, CONTRIBUTORS, &mut tape);
     rasterizer.render(layer, &shown, &mut tape);

@@ -3,7 +3,7 @@
 use super::photograph::Patch;
 use super::*;
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_testkit::look_at;
 use glam::DVec2;
 
@@ -39,8 +39,7 @@ fn photographs(count: usize, motion: &RigidMotion, exposure: f32) -> Vec<Trainin
         let camera = Camera::new(intrinsics, look_at(eye, DVec3::ZERO), SIZE).unwrap();
         let mut tape = RenderTape::default();
         let shown = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
-        CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-            .render(&moved, &shown, &mut tape);
+        CpuRasterizer::default().render(&moved, &shown, &mut tape);
         let mut image = PlanarImage::zeros(SIZE);
         image.data_mut().iter_mut().zip(tape.image().data()).for_each(|(out, v)| *out = v + exposure);
         let mask = tape.transmittance().iter().map(|&t| u8::from(t < 0.1)).collect();

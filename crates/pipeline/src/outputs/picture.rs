@@ -1,7 +1,7 @@
 //! Pictures of Gaussians before a sky, on the CPU.
 
 use ffgs_core::{Camera, Gaussians, PlanarImage};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_splats::Panorama;
 use glam::DVec2;
 
@@ -16,17 +16,10 @@ pub fn panorama_picture(sky: &Panorama, camera: &Camera) -> PlanarImage {
     picture
 }
 
-/// Layers of Gaussians in front of a picture, depth-sorted: sRGB, and the transmittance of each pixel (0 = opaque). `antialiased` compensates the
-/// opacity of thin splats, as every lane trains.
-pub fn draw(
-    layers: &[&Gaussians],
-    camera: &Camera,
-    behind: &PlanarImage,
-    antialiased: bool,
-) -> (PlanarImage, Vec<f32>) {
+/// Layers of Gaussians in front of a picture, depth-sorted: sRGB, and the transmittance of each pixel (0 = opaque).
+pub fn draw(layers: &[&Gaussians], camera: &Camera, behind: &PlanarImage) -> (PlanarImage, Vec<f32>) {
     let view = View { camera, background: Background::Image(behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None })
-        .render_layers(layers, &view, &mut tape);
+    CpuRasterizer::default().render_layers(layers, &view, &mut tape);
     (tape.image().clone(), tape.transmittance().to_vec())
 }

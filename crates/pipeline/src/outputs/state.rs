@@ -1,7 +1,7 @@
 //! The exact state after a frame, from which a run goes on.
 
 use anyhow::{Result, bail};
-use ffgs_core::{Dynamic, Gaussians, Knowledge, Scene, SkyCube};
+use ffgs_core::{Dynamic, Gaussians, Knowledge, PixelFilter, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
 use glam::DMat3;
 use std::borrow::Cow;
@@ -14,6 +14,9 @@ const DOUBTED: &str = "masks_doubted";
 
 /// Name of the number of Gaussians to which growth is held.
 const ENTITLED: &str = "dynamic_entitled";
+
+/// Name of the flag that the layers are drawn with the plain filter.
+const PLAIN: &str = "plain_filter";
 
 /// Writes the state atomically.
 ///
@@ -36,11 +39,7 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_flexibility: scene.dynamic.flexibility.clone(),
         static_hidden: scene.hidden.clone(),
         static_colours: scene.static_colours.clone(),
-        integers: [
-            (DOUBTED.to_owned(), u64::from(scene.dynamic.masks_doubted)),
-            (ENTITLED.to_owned(), scene.dynamic.growth_limit as u64),
-        ]
-        .into(),
+        integers: integers(scene),
         ..FrameState::default()
     };
     if let Some(fault) = fault(&state) {
@@ -54,6 +53,13 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
 /// Names of the drifts and of the noise among a state's numbers.
 const DRIFT: [&str; 5] = ["drift turns", "drift log scales", "drift opacities", "drift sh0", "drift sh rest"];
 const NOISE: [&str; 2] = ["noise sigma", "noise correlated"];
+
+fn integers(scene: &Scene) -> BTreeMap<String, u64> {
+    let always =
+        [(DOUBTED, u64::from(scene.dynamic.masks_doubted)), (ENTITLED, scene.dynamic.growth_limit as u64)];
+    let plain = (scene.static_layer.filter == PixelFilter::Plain).then_some((PLAIN, 1));
+    always.into_iter().chain(plain).map(|(name, value)| (name.to_owned(), value)).collect()
+}
 
 fn reals(knowledge: &Knowledge) -> BTreeMap<String, f64> {
     let drift = DRIFT.iter().zip(knowledge.drift);
@@ -82,9 +88,11 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         drift: DRIFT.each_ref().map(real),
         noise: NOISE.each_ref().map(real),
     };
+    let plain = state.integers.get(PLAIN).is_some_and(|v| *v > 0);
+    let filter = if plain { PixelFilter::Plain } else { PixelFilter::Compensated };
     let growth_limit = state.integers.get(ENTITLED).map_or(state.dynamic_layer.len(), |&n| n as usize);
     let dynamic = Dynamic {
-        gaussians: state.dynamic_layer.into_owned(),
+        gaussians: state.dynamic_layer.into_owned().with_filter(filter),
         covariances: state.dynamic_covariances,
         q: state.q,
         steps: state.dynamic_steps,
@@ -95,7 +103,7 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         growth_limit,
         masks_doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
-    let static_layer = Arc::new(state.static_layer.into_owned());
+    let static_layer = Arc::new(state.static_layer.into_owned().with_filter(filter));
     Ok(Scene {
         static_layer,
         hidden: state.static_hidden,

@@ -1,8 +1,8 @@
 //! The conformance suite of splat formats.
 
 use super::{assert_names, in_1_and_8_threads};
-use ffgs_core::Gaussians;
-use ffgs_method::{RenderMode, SplatWriter, Splats};
+use ffgs_core::{Gaussians, PixelFilter};
+use ffgs_method::{SplatWriter, Splats};
 use glam::Vec3;
 use std::fs;
 use std::path::Path;
@@ -30,16 +30,16 @@ pub fn splat_writer(format: &dyn SplatWriter) {
         assert_eq!(left, 1, "{name}: more than the file is left in its folder");
         read_again(format, &file, &gaussians);
     }
-    if let Err(fault) = format.write(&file, &Splats::from(&cloud(0, 0)), RenderMode::Plain) {
+    if let Err(fault) = format.write(&file, &Splats::from(&cloud(0, 0))) {
         assert_names(&fault, &file, name);
     }
     let nowhere = file.join("below/a.file");
-    let refused = format.write(&nowhere, &Splats::from(&cloud(3, 0)), RenderMode::Plain);
+    let refused = format.write(&nowhere, &Splats::from(&cloud(3, 0)));
     assert_names(&refused.expect_err("a folder that cannot be made"), &nowhere, name);
 }
 
 fn write(format: &dyn SplatWriter, file: &Path, gaussians: &Gaussians) {
-    let written = format.write(file, &Splats::from(gaussians), RenderMode::Plain);
+    let written = format.write(file, &Splats::from(gaussians));
     written.unwrap_or_else(|fault| panic!("{}: {fault}", format.name()));
 }
 
@@ -67,7 +67,7 @@ fn read_again(format: &dyn SplatWriter, file: &Path, gaussians: &Gaussians) {
 
 /// Gaussians on a spiral within a cube of a metre.
 fn cloud(count: usize, degree: usize) -> Gaussians {
-    let mut out = Gaussians::zeros(count, degree);
+    let mut out = Gaussians::zeros(count, degree).with_filter(PixelFilter::Plain);
     for i in 0..count {
         let t = i as f32;
         out.means[i] = [0.5 * t.sin(), 0.5 * t.cos(), 0.5 - t / 40.0];
@@ -102,7 +102,7 @@ mod tests {
             ".count"
         }
 
-        fn write(&self, file: &Path, splats: &Splats, _: RenderMode) -> Result<(), Fault> {
+        fn write(&self, file: &Path, splats: &Splats) -> Result<(), Fault> {
             fs::write(file, [splats.gaussians.len() as u8]).map_err(|e| Fault::new(file, e, "elsewhere"))
         }
 

@@ -58,8 +58,7 @@ fn motion(gpu: &Gpu, layer: &Gaussians, view: &TrainingView, rows: &mut Rows) ->
     let tiles = TileMask::covering(&view.mask);
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
     let scene = GpuScene::upload(gpu, layer)?;
-    let mut rasterizer =
-        GpuRasterizer::new(gpu, RenderOptions { antialiased: true, sh_degree: Some(0), dropout: None })?;
+    let mut rasterizer = GpuRasterizer::new(gpu, RenderOptions { sh_degree: Some(0), dropout: None })?;
     let seconds = rows
         .try_time(|| Ok(rasterizer.accumulate_planes(&scene, &frame, &planes, layer.len()).map(drop)?))?;
     rows.add(&case("gpu/association"), seconds, None);

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation over spacing, as trained scenes have it and as in the CPU's cases.
 const SPREAD: f32 = 0.45;
-const OPTIONS: RenderOptions = RenderOptions { antialiased: true, sh_degree: None, dropout: None };
+const OPTIONS: RenderOptions = RenderOptions { sh_degree: None, dropout: None };
 const PARTS: [(&str, Part); 5] = [
     ("forward", Part::Forward),
     ("loss", Part::Loss),
@@ -25,7 +25,7 @@ pub(crate) fn step(gpu: &Gpu, size: ImageSize, count: usize, rows: &mut Rows) ->
     let case = format!("{}x{}/{count}", size.width, size.height);
     let gaussians = discs(count, 3, SPREAD);
     let view = training_view(&gaussians, camera(size, 0.0), Mask::filled(size, true));
-    let blended = contributions(&gaussians, &view.camera, None, true);
+    let blended = contributions(&gaussians, &view.camera, None);
     let frame = View { camera: &view.camera, background: Background::Colour([0.3; 3]), tiles: None };
     let (rasterizer, mut tape) = (CpuRasterizer::new(OPTIONS), RenderTape::default());
     let seconds = rows.time(|| rasterizer.render(&gaussians, &frame, &mut tape));

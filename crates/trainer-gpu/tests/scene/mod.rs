@@ -3,7 +3,7 @@
 use ffgs_core::{
     Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
 };
-use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, View};
 use ffgs_trainer::SkyView;
 use glam::{DMat3, DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -51,8 +51,7 @@ pub(crate) fn render(g: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarIma
     SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(g, &view, &mut tape);
+    CpuRasterizer::default().render(g, &view, &mut tape);
     tape.image().clone()
 }
 

@@ -25,7 +25,7 @@ pub(crate) fn dynamic(c: &mut Criterion) {
         let views: Vec<TrainingView> =
             [-0.2, 0.0, 0.2].map(|x| training_view(&all, camera(size, x), mask.clone())).into();
         let tiles = TileMask::covering(&mask);
-        let blended: u64 = views.iter().map(|v| contributions(&moving, &v.camera, Some(&tiles), true)).sum();
+        let blended: u64 = views.iter().map(|v| contributions(&moving, &v.camera, Some(&tiles))).sum();
         group.throughput(Throughput::Elements(blended * STEPS as u64 / views.len() as u64));
         let config = DynamicLaneConfig { iterations: STEPS, ..DynamicLaneConfig::default() };
         let still = Arc::new(still);
@@ -63,7 +63,7 @@ pub(crate) fn static_lane(c: &mut Criterion) {
     let views: Vec<TrainingView> = [-1.0, -0.5, 0.0, 0.5, 1.0]
         .map(|x| training_view(&layer, camera(size, x), Mask::filled(size, false)))
         .into();
-    let blended: u64 = views.iter().map(|v| contributions(&layer, &v.camera, None, true)).sum();
+    let blended: u64 = views.iter().map(|v| contributions(&layer, &v.camera, None)).sum();
     let mut group = c.benchmark_group("static_lane");
     for (name, static_method) in [("solve", StaticMethod::Solve), ("500_steps", StaticMethod::Steps)] {
         let config = BackgroundConfig { static_method, ..BackgroundConfig::default() };

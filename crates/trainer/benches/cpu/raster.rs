@@ -2,10 +2,8 @@
 
 use crate::scene::{camera, contributions, discs, pool};
 use criterion::{BenchmarkId, Criterion, Throughput};
-use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, PlanarImage};
-use ffgs_rasterizer::{
-    Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
-};
+use ffgs_core::{Camera, Gaussians, ImageRgb8, ImageSize, PixelFilter, PlanarImage};
+use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, PixelGradients, RenderTape, View};
 use ffgs_trainer::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use std::io::Write;
 
@@ -26,13 +24,13 @@ struct Step {
 }
 
 impl Step {
-    fn new(gaussians: Gaussians, camera: Camera, antialiased: bool) -> Self {
+    fn new(gaussians: Gaussians, camera: Camera) -> Self {
         let size = camera.size();
         let bytes = (0..size.pixels() * 3).map(|i| (i * 7919 % 251) as u8).collect();
         Self {
             adam: Adam::new(gaussians.len(), gaussians.sh_degree()),
             photo: ImageRgb8::new(size, bytes).expect("three bytes per pixel"),
-            rasterizer: CpuRasterizer::new(RenderOptions { antialiased, sh_degree: None, dropout: None }),
+            rasterizer: CpuRasterizer::default(),
             tape: RenderTape::default(),
             loss: PhotometricLoss::new(),
             pixels: PlanarImage::zeros(size),
@@ -109,8 +107,8 @@ pub(crate) fn sizes(c: &mut Criterion) {
         for (count, name) in [(20_000, "20k"), (200_000, "200k"), (1_000_000, "1M")] {
             if let Some(name) = wanted(&format!("{width}x{height}/{name}")) {
                 let camera = camera(ImageSize { width, height }, 0.0);
-                let mut case = Step::new(discs(count, 3, SPREAD), camera, true);
-                let elements = contributions(&case.gaussians, &case.camera, None, true);
+                let mut case = Step::new(discs(count, 3, SPREAD), camera);
+                let elements = contributions(&case.gaussians, &case.camera, None);
                 bench(c, &name, &mut case, elements);
             }
         }
@@ -124,15 +122,16 @@ pub(crate) fn garden(c: &mut Criterion) {
     let Some(name) = wanted("garden") else { return };
     let camera = camera(ImageSize { width: 648, height: 420 }, 0.0);
     let (mut low, mut high) = (0.2_f32, 4.0_f32);
-    let count = |spread: f32| contributions(&discs(101_201, 0, spread), &camera, None, false);
+    let plain = |spread: f32| discs(101_201, 0, spread).with_filter(PixelFilter::Plain);
+    let count = |spread: f32| contributions(&plain(spread), &camera, None);
     for _ in 0..10 {
         let middle = (low * high).sqrt();
         if (count(middle) as f64) < WANTED { low = middle } else { high = middle }
     }
-    let gaussians = discs(101_201, 0, low);
-    let elements = contributions(&gaussians, &camera, None, false);
+    let gaussians = plain(low);
+    let elements = contributions(&gaussians, &camera, None);
     println!("garden counts: {elements} contributions, spread {low:.3}");
-    bench(c, &name, &mut Step::new(gaussians, camera, false), elements);
+    bench(c, &name, &mut Step::new(gaussians, camera), elements);
 }
 
 /// The name, when the environment variable `FFGS_BENCH_CASE` is empty or part of it: scenes of a million Gaussians are

@@ -69,16 +69,11 @@ pub(crate) fn camera(size: ImageSize, x: f64) -> Camera {
 }
 
 /// (pixel, Gaussian) pairs that are blended.
-pub(crate) fn contributions(
-    gaussians: &Gaussians,
-    camera: &Camera,
-    tiles: Option<&TileMask>,
-    antialiased: bool,
-) -> u64 {
+pub(crate) fn contributions(gaussians: &Gaussians, camera: &Camera, tiles: Option<&TileMask>) -> u64 {
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles };
     let ones = vec![1.0; camera.size().pixels()];
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
-    let rasterizer = CpuRasterizer::new(RenderOptions { antialiased, sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
     rasterizer.accumulate(gaussians, &view, &[&ones], &mut tape, &mut sums);
     (0..gaussians.len()).map(|i| u64::from(sums.hits(i))).sum()
 }
@@ -87,8 +82,7 @@ pub(crate) fn contributions(
 pub(crate) fn training_view(gaussians: &Gaussians, camera: Camera, mask: Mask) -> TrainingView {
     let view = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(gaussians, &view, &mut tape);
+    CpuRasterizer::default().render(gaussians, &view, &mut tape);
     let mut photo: PlanarImage = tape.image().clone();
     photo.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = 0.9 * *v + 0.05 * (i as f32 * 0.01).sin());
     TrainingView { camera, image: ImageRgb8::from(&photo), mask }

@@ -1,7 +1,7 @@
 //! Foreground that the moving layer does not show.
 
 use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 
 /// Alpha of the moving layer from which a pixel shows it.
 const SHOWN: f32 = 0.5;
@@ -25,8 +25,7 @@ pub fn unexplained(layer: &Gaussians, view: &TrainingView) -> Mask {
     let frame =
         View { camera: &view.camera, background: Background::Image(&photograph), tiles: Some(&tiles) };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(layer, &frame, &mut tape);
+    CpuRasterizer::default().render(layer, &frame, &mut tape);
     let foreground = |p: &usize| view.mask.data()[*p] != 0;
     let alpha: Vec<f32> = tape.transmittance().iter().map(|t| 1.0 - t).collect();
     let shown: Vec<bool> = alpha.iter().map(|&alpha| alpha >= SHOWN).collect();

@@ -22,7 +22,6 @@ pub struct CpuLayer<'a> {
     adam: Adam,
     /// Gaussians at the front that stay.
     fixed: usize,
-    antialiased: bool,
     sums: Option<GradientSums>,
     running: Running,
     /// The view at hand, and how it was drawn.
@@ -38,11 +37,7 @@ impl<'a> CpuLayer<'a> {
     pub(super) fn new(task: LayerTask<'a>) -> Self {
         let layer = Arc::make_mut(task.layer);
         let mut seen = vec![0; layer.len()];
-        let rasterizer = CpuRasterizer::new(RenderOptions {
-            antialiased: task.antialiased,
-            sh_degree: None,
-            dropout: None,
-        });
+        let rasterizer = CpuRasterizer::default();
         let around = match task.around {
             Around::Sky(sky) => Surrounding::Sky(sky, SkyBehind::new()),
             Around::TrainedSky(sky, rate) => Surrounding::Trained(Box::new(TrainedSky::new(sky, rate))),
@@ -55,7 +50,6 @@ impl<'a> CpuLayer<'a> {
             penalty: task.prior.map(|prior| Penalty::new(prior, layer, seen)),
             adam: Adam::of_columns(layer.len(), layer.sh_degree(), task.columns),
             fixed: task.fixed,
-            antialiased: task.antialiased,
             sums: task.sums_gradients.then(|| GradientSums::new(layer.len())),
             layer,
             views: task.views,
@@ -80,8 +74,7 @@ impl Training for CpuLayer<'_> {
         dropout: Option<Dropout>,
     ) -> Result<(), Infallible> {
         self.at = index;
-        self.rasterizer =
-            CpuRasterizer::new(RenderOptions { antialiased: self.antialiased, sh_degree, dropout });
+        self.rasterizer = CpuRasterizer::new(RenderOptions { sh_degree, dropout });
         let TaskView { view, region, tiles } = &self.views[index];
         self.around.aim(index, &view.camera);
         let background = Background::Image(self.around.behind());

@@ -11,7 +11,7 @@ use super::trace::ViewTrace;
 use crate::background::{BackgroundConfig, SkyBehind, outside};
 use crate::view::{Progress, Running};
 use ffgs_core::{Gaussians, PlanarImage, SkyCube, TrainingView, sh_coefficients};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View, sh_basis};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -143,8 +143,7 @@ fn residual(
     tape: &mut RenderTape,
 ) -> Residual {
     let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(layer, &frame, tape);
+    CpuRasterizer::default().render(layer, &frame, tape);
     let difference = |p: usize| Vec3::from(view.image.pixel(p)) - Vec3::from(tape.image().pixel(p));
     let value = |(p, &counts): (usize, &bool)| if counts { difference(p) } else { Vec3::ZERO };
     Residual { values: counted.iter().enumerate().map(value).collect(), counted }

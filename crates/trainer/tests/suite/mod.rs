@@ -2,9 +2,10 @@
 //! that what is fixed stays, and that equal inputs give equal bytes. The same assertions hold for the CPU and for a GPU.
 
 use ffgs_core::{
-    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PlanarImage, SkyCube, TrainingView,
+    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PixelFilter, PlanarImage, SkyCube,
+    TrainingView,
 };
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_trainer::{
     Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
     LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticLane, StaticMethod,
@@ -59,8 +60,7 @@ fn render(gaussians: &Gaussians, sky: &SkyCube, camera: &Camera) -> PlanarImage 
     SkyView::new(camera, sky.face_size()).render(sky, &mut behind);
     let view = View { camera, background: Background::Image(&behind), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { antialiased: true, sh_degree: None, dropout: None })
-        .render(gaussians, &view, &mut tape);
+    CpuRasterizer::default().render(gaussians, &view, &mut tape);
     tape.image().clone()
 }
 
@@ -262,12 +262,12 @@ pub(crate) fn the_first_frame_comes_nearer_to_the_photographs<B: TrainBackend>(b
 /// are fitted.
 pub(crate) fn what_is_fixed_stays<B: TrainBackend>(backend: &B) {
     let world = world();
-    let start = joint(&recoloured(&world.fixed), &world.disturbed());
+    let mut start = joint(&recoloured(&world.fixed), &world.disturbed());
+    start.filter = PixelFilter::Plain;
     let (mut layer, fixed) = (Arc::new(start.clone()), world.fixed.len());
     let views = world.views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect();
     let task = LayerTask {
         columns: Columns::IN_PLACE,
-        antialiased: false,
         fixed,
         ..LayerTask::new(&mut layer, views, Around::Sky(&world.sky))
     };

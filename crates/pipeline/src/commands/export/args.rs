@@ -15,7 +15,8 @@ use std::path::PathBuf;
         This program trains with the opacity compensation of Mip-Splatting, which ordinary viewers do not have: there \
         the files of the run lose 3 to 9 dB. An export is therefore baked: opacities, scales and colours are fitted \
         to plain viewers, which brings about half of that back; --measure tells. --native leaves the Gaussians as they are, for players that compensate \
-        (Brush, SuperSplat with antialiasing). Files that exist are kept, so an interrupted export goes on.",
+        (Brush, SuperSplat with antialiasing). A run with `first_frame.antialiased = false` is trained as \
+        ordinary viewers draw: its export needs no fitting and loses nothing. Files that exist are kept, so an interrupted export goes on.",
     after_help = export_examples()
 )]
 pub struct ExportArgs {
@@ -39,7 +40,7 @@ pub struct ExportArgs {
     /// Steps that fit the first frame to plain viewers; later frames take a third of them
     #[arg(long, value_name = "N", default_value_t = 600, conflicts_with = "native")]
     pub bake_iterations: usize,
-    /// Also compare plain renders of the export with the run's own, in the test views
+    /// Also compare renders of the export with the run's own, in the test views
     #[arg(long)]
     pub measure: bool,
     /// How fine a stream is: 2 halves every step

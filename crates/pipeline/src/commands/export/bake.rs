@@ -5,7 +5,7 @@ use crate::outputs::exposure_files::load_equal;
 use crate::outputs::finished_run::FinishedRun;
 use anyhow::Result;
 use ffgs_bake::{FinetuneConfig, conserve_weight, finetune};
-use ffgs_core::{Camera, Gaussians, Scene, TrainingView};
+use ffgs_core::{Camera, Gaussians, PixelFilter, Scene, TrainingView};
 use ffgs_trainer::CpuBackend;
 
 /// The share of the first frame's steps that a later frame takes: only the dynamic layer is fitted there.
@@ -43,16 +43,20 @@ impl<'a> Baker<'a> {
 
     /// Static and dynamic Gaussians of a frame, in this order, for viewers without compensation.
     pub(crate) fn bake(&mut self, scene: &Scene, frame: usize) -> Result<Gaussians> {
+        let trained = scene.joint();
+        if trained.filter == PixelFilter::Plain {
+            return Ok(trained);
+        }
         if self.still.is_none() {
             let first = self.run.scene(self.first)?;
             self.still = Some(self.bake_first(&first)?);
         }
-        let Some(still) = &self.still else { return Ok(scene.joint()) };
+        let Some(still) = &self.still else { return Ok(trained) };
         let mut joint = still.at(&scene.static_layer);
-        let range = joint.len()..joint.len() + scene.dynamic.gaussians.len();
-        joint.extend(&scene.dynamic.gaussians);
+        let range = joint.len()..trained.len();
+        joint.extend(&plain(&scene.dynamic.gaussians));
         let views = self.views(frame)?;
-        conserve_weight(&mut joint, range.clone(), &cameras(&views));
+        conserve_weight(&mut joint, &trained, range.clone(), &cameras(&views));
         let config =
             FinetuneConfig { iterations: self.iterations / LATER_SHARE, ..FinetuneConfig::default() };
         let Ok(()) =
@@ -62,10 +66,10 @@ impl<'a> Baker<'a> {
 
     /// All of the first frame together, of which the static layer is kept.
     fn bake_first(&self, scene: &Scene) -> Result<Still> {
-        let mut joint = scene.joint();
-        let all = 0..joint.len();
+        let trained = scene.joint();
+        let mut joint = plain(&trained);
         let views = self.views(self.first)?;
-        conserve_weight(&mut joint, all.clone(), &cameras(&views));
+        conserve_weight(&mut joint, &trained, 0..trained.len(), &cameras(&views));
         let config = FinetuneConfig { iterations: self.iterations, ..FinetuneConfig::default() };
         let Ok(()) = finetune(&CpuBackend, &mut joint, 0, &views, &scene.sky, &config, self.first as u64);
         let indices: Vec<usize> = (0..scene.static_layer.len()).collect();
@@ -82,6 +86,10 @@ impl<'a> Baker<'a> {
         let views = [training_views(&selected, frame), init_views(capture, frame)].concat();
         load_equal(capture, &self.run.exposures, &views).map(|(views, _)| views)
     }
+}
+
+fn plain(gaussians: &Gaussians) -> Gaussians {
+    gaussians.clone().with_filter(PixelFilter::Plain)
 }
 
 fn cameras(views: &[TrainingView]) -> Vec<Camera> {

@@ -9,7 +9,7 @@ use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::json::{read_json, write_json};
 use anyhow::{Result, bail};
 use ffgs_core::{Gaussians, Scene, spatial_order};
-use ffgs_method::{RenderMode, SplatWriter, Splats};
+use ffgs_method::{SplatWriter, Splats};
 use ffgs_splats::write_sky_equirectangular;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ impl Export<'_> {
                 if self.args.measure {
                     let path = self.splat_path(frame);
                     let read = self.as_read(&path, joint)?;
-                    let shown = Shown { gaussians: &read, sky: None, antialiased: self.args.native };
+                    let shown = Shown { gaussians: &read, sky: None };
                     measured.push(measure((&*self.run.capture, &self.run.exposures), &scene, &shown, frame)?);
                 }
             }
@@ -127,8 +127,7 @@ impl Export<'_> {
     fn write(&self, frame: usize, scene: &Scene, joint: &Gaussians) -> Result<()> {
         if self.has_splats() {
             let chosen = self.in_layers(joint, scene.static_layer.len());
-            let mode = if self.args.native { RenderMode::Mip } else { RenderMode::Plain };
-            self.format.write(&self.splat_path(frame), &Splats::from(&chosen), mode)?;
+            self.format.write(&self.splat_path(frame), &Splats::from(&chosen))?;
         }
         if self.has(Layer::Sky) {
             let (size, texels) = (scene.sky.face_size(), scene.sky.texels.as_flattened());

@@ -19,8 +19,6 @@ pub(crate) struct Shown<'a> {
     pub gaussians: &'a Gaussians,
     /// The sky; absent where it is the run's own.
     pub sky: Option<&'a Panorama>,
-    /// Whether the player compensates the opacity of thin splats.
-    pub antialiased: bool,
 }
 
 /// Means over the test views of a frame, against the photographs (dB); absent where no pixel counts.
@@ -56,10 +54,10 @@ pub(crate) fn measure(
     for TestView { truth, exposure } in load_tests(capture, exposures, frame)?.0 {
         let camera = &truth.camera;
         let own_sky = sky_picture(&scene.sky, camera);
-        let (mut ours, transmittance) = draw(&scene.layers(), camera, &own_sky, true);
+        let (mut ours, transmittance) = draw(&scene.layers(), camera, &own_sky);
         let opaque = opaque(camera.size(), &transmittance);
         let behind = shown.sky.map_or(own_sky, |sky| panorama_picture(sky, camera));
-        let (mut theirs, _) = draw(&[shown.gaussians], camera, &behind, shown.antialiased);
+        let (mut theirs, _) = draw(&[shown.gaussians], camera, &behind);
         exposure.apply(&mut ours);
         exposure.apply(&mut theirs);
         let everything = Mask::filled(camera.size(), true);

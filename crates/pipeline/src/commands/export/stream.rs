@@ -10,7 +10,7 @@ use crate::job::request::FrameRange;
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::json::write_json;
 use anyhow::{Result, bail};
-use ffgs_core::Scene;
+use ffgs_core::{PixelFilter, Scene};
 use ffgs_splats::{Panorama, encode_sky_equirectangular};
 use ffgs_stream::{Entry, Frame, Manifest, Precision, Reader, Steps, Writer};
 use glam::DMat3;
@@ -157,7 +157,7 @@ fn open(out: &Path, run: &FinishedRun, first: usize, axes: Axes, options: &Strea
         version: 0,
         title: run.manifest.capture.clone(),
         frames_per_second: options.frames_per_second,
-        antialiased: true,
+        antialiased: still.filter == PixelFilter::Compensated,
         up: axes.up.to_array(),
         forward: axes.forward.to_array(),
         static_steps: Steps::of(still, &precision[0]),
@@ -218,7 +218,7 @@ fn measure_all(
         let mut joint = decoded.static_layer;
         joint.extend(&decoded.dynamic_layer);
         let sky = Panorama::decode(&decoded.sky, axes.up, axes.forward)?;
-        let shown = Shown { gaussians: &joint, sky: Some(&sky), antialiased: true };
+        let shown = Shown { gaussians: &joint, sky: Some(&sky) };
         out.push(measure((&*run.capture, &run.exposures), &run.scene(frame)?, &shown, frame)?);
         bar.inc(1);
     }

@@ -4,14 +4,17 @@ use super::input::{ANY, Input, camera, narrow};
 use crate::job::device::Device;
 use anyhow::{Context, Result, ensure};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::{Camera, Gaussians, ImageSize, PlanarImage};
+use ffgs_core::{Camera, Gaussians, ImageSize, PixelFilter, PlanarImage};
 use ffgs_rasterizer::{
     Background, CpuRasterizer, Gradients, PixelGradients, RenderOptions, RenderTape, View,
 };
 use ffgs_rasterizer_gpu::{GpuRasterizer, Rendered};
 
 pub(super) fn run(input: &Input, device: &Device) -> Result<NpzWriter> {
-    let gaussians = gaussians(input)?;
+    let mut gaussians = gaussians(input)?;
+    if input.count("antialiased")? == 0 {
+        gaussians.filter = PixelFilter::Plain;
+    }
     let camera = read_camera(input)?;
     let background = input.finite::<f32>("in_background", &[Some(3)])?.data;
     let background = Background::Colour([background[0], background[1], background[2]]);
@@ -81,11 +84,7 @@ fn options(input: &Input, available: usize) -> Result<RenderOptions> {
     let degree = input.count("sh_degree")?;
     let what = format!("{degree}, but in_sh holds degree {available}");
     ensure!(degree <= available, input.fault("sh_degree", what));
-    Ok(RenderOptions {
-        antialiased: input.count("antialiased")? != 0,
-        sh_degree: Some(degree),
-        dropout: None,
-    })
+    Ok(RenderOptions { sh_degree: Some(degree), dropout: None })
 }
 
 /// Derivatives of the loss with respect to image and transmittance.

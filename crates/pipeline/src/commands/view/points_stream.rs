@@ -3,7 +3,7 @@
 use crate::commands::export::axes::Axes;
 use crate::commands::export::stream::PRECISION;
 use anyhow::Result;
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, PixelFilter};
 use ffgs_method::{Capture, Points};
 use ffgs_stream::{Frame, Manifest, Steps, Writer};
 use ffgs_trainer::from_points;
@@ -58,7 +58,8 @@ fn discs(points: &Points, foreground: bool) -> Gaussians {
     let of_kind = |i: &usize| points.foreground[*i] == foreground;
     let chosen: Vec<usize> = (0..points.positions.len()).filter(of_kind).collect();
     let of = |column: &[[f32; 3]]| -> Vec<[f32; 3]> { chosen.iter().map(|&i| column[i]).collect() };
-    from_points(&of(&points.positions), &of(&points.colours), 0, OPACITY)
+    let discs = from_points(&of(&points.positions), &of(&points.colours), 0, OPACITY);
+    discs.with_filter(PixelFilter::Plain)
 }
 
 #[cfg(test)]
