@@ -19,6 +19,7 @@ mod progress;
 mod removal;
 mod request;
 mod rig;
+mod spread;
 mod stereo;
 mod sweep;
 mod timing;

@@ -1,32 +1,27 @@
 //! Initial points: matched features, the visual hull for what moves, and samples spread in depth for the rest.
 
-use crate::hull::{Hull, Region, Silhouette, common_region, hull};
+use crate::hull::{Hull, Silhouette, common_region, hull};
 use crate::stereo::{self, StereoPoint};
-use crate::sweep;
 use crate::{PrepareError, Progress};
+use crate::{spread, sweep};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
-/// Points of the hull and of the background at most.
+/// Points of the hull at most.
 const HULL_POINTS: usize = 2_500;
-const DEPTH_POINTS: usize = 7_000;
-/// With fewer matched points their depths say nothing of the scene.
-const LEAST_MATCHED: usize = 100;
-/// Matched points round a pixel, one of whose depths it gets.
-const NEAREST: usize = 4;
 
 /// One training view of the first frame.
-struct View {
-    camera: Camera,
-    image: ImageRgb8,
-    mask: Option<Mask>,
+pub(crate) struct View {
+    pub camera: Camera,
+    pub image: ImageRgb8,
+    pub mask: Option<Mask>,
 }
 
 /// Position, colour and foreground.
-type Row = [f32; 7];
+pub(crate) type Row = [f32; 7];
 
 /// Writes `init_pt_cld.npz`. `known` are points of the calibration's own program. Returns what was done.
 pub(crate) fn make(
@@ -50,7 +45,7 @@ pub(crate) fn make(
     let mut rows = rows_of(&views, &matched);
     let hull = hull_rows(&views);
     progress.advance("points", 3, 4);
-    let depth = depth_rows(&views, &matched);
+    let depth = spread::rows(&views, &matched);
     let text = format!(
         "{counted} {from}, {swept} by plane sweeps, {} in the visual hull, {} spread in depth",
         hull.len(),
@@ -86,7 +81,7 @@ fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {
     (0..capture.views(Split::Train).len()).into_par_iter().map(view).collect()
 }
 
-fn row(p: DVec3, colour: [f32; 3], foreground: bool) -> Row {
+pub(crate) fn row(p: DVec3, colour: [f32; 3], foreground: bool) -> Row {
     let p = p.as_vec3();
     [p.x, p.y, p.z, colour[0], colour[1], colour[2], f32::from(u8::from(foreground))]
 }
@@ -140,56 +135,4 @@ fn colour(views: &[View], p: DVec3) -> Option<[f32; 3]> {
         values[values.len() / 2]
     };
     (!seen.is_empty()).then(|| std::array::from_fn(median))
-}
-
-/// Pixels of every view, outside its mask, at depths of the matched points around them; where there are too few, at
-/// depths from a quarter to four times that of the scene.
-fn depth_rows(views: &[View], matched: &[StereoPoint]) -> Vec<Row> {
-    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let region = common_region(&cameras);
-    let per_view = DEPTH_POINTS.div_ceil(views.len());
-    let rows = |v: &View| {
-        let depths = known_depths(&v.camera, matched);
-        (0..per_view).filter_map(|i| depth_row(v, i, &depths, region)).collect::<Vec<_>>()
-    };
-    views.par_iter().map(rows).collect::<Vec<_>>().concat()
-}
-
-fn known_depths(camera: &Camera, matched: &[StereoPoint]) -> Vec<(DVec2, f64)> {
-    let seen = matched.iter().filter_map(|p| camera.project(p.position)).filter(|p| camera.shows(p.pixel));
-    seen.map(|p| (p.pixel, p.depth)).collect()
-}
-
-/// The `i`-th sample of a view: a low-discrepancy pixel, so that few samples cover the picture.
-fn depth_row(view: &View, i: usize, depths: &[(DVec2, f64)], region: Region) -> Option<Row> {
-    let size = view.camera.size();
-    let pixel = DVec2::new(halton(i, 2) * size.width as f64, halton(i, 3) * size.height as f64);
-    let (x, y) = (pixel.x as usize, pixel.y as usize);
-    if view.mask.as_ref().is_some_and(|m| m.contains(x, y)) {
-        return None;
-    }
-    let choice = halton(i, 5);
-    let depth = if depths.len() >= LEAST_MATCHED {
-        let mut near: Vec<(f64, f64)> = depths.iter().map(|(p, d)| (p.distance_squared(pixel), *d)).collect();
-        near.select_nth_unstable_by(NEAREST, |a, b| a.0.total_cmp(&b.0));
-        near[(choice * NEAREST as f64) as usize].1
-    } else {
-        let distance = view.camera.center().distance((region.low + region.high) / 2.0);
-        distance * 4.0_f64.powf(2.0 * choice - 1.0)
-    };
-    let ray = view.camera.ray(pixel);
-    let forward = view.camera.rotation().transpose() * DVec3::Z;
-    let position = view.camera.center() + ray * (depth / ray.dot(forward));
-    Some(row(position, view.image.pixel(y * size.width + x), false))
-}
-
-/// Halton's sequence in a base, from its 20th member on.
-fn halton(i: usize, base: usize) -> f64 {
-    let (mut i, mut part, mut value) = (i + 20, 1.0, 0.0);
-    while i > 0 {
-        part /= base as f64;
-        value += part * (i % base) as f64;
-        i /= base;
-    }
-    value
 }
