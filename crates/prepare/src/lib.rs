@@ -19,6 +19,7 @@ mod progress;
 mod removal;
 mod request;
 mod rig;
+mod rows;
 mod spread;
 mod stereo;
 mod sweep;
@@ -27,6 +28,7 @@ mod tracker_list;
 mod tracking;
 mod tracks;
 mod video;
+mod views;
 
 pub use conversion::{Layout, convert};
 pub use error::PrepareError;

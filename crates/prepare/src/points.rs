@@ -1,27 +1,18 @@
 //! Initial points: matched features, the visual hull for what moves, and samples spread in depth for the rest.
 
 use crate::hull::{Hull, Silhouette, common_region, hull};
+use crate::rows::{Row, row};
 use crate::stereo::{self, StereoPoint};
+use crate::views::{View, load};
 use crate::{PrepareError, Progress};
 use crate::{spread, sweep};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::{Camera, ImageRgb8, Mask};
-use ffgs_dataset::{Capture, Split};
+use ffgs_core::Camera;
+use ffgs_dataset::Capture;
 use glam::DVec3;
-use rayon::prelude::*;
 
 /// Points of the hull at most.
 const HULL_POINTS: usize = 2_500;
-
-/// One training view of the first frame.
-pub(crate) struct View {
-    pub camera: Camera,
-    pub image: ImageRgb8,
-    pub mask: Option<Mask>,
-}
-
-/// Position, colour and foreground.
-pub(crate) type Row = [f32; 7];
 
 /// Writes `init_pt_cld.npz`. `known` are points of the calibration's own program. Returns what was done.
 pub(crate) fn make(
@@ -68,22 +59,6 @@ pub(crate) fn keep(capture: &Capture, points: &[StereoPoint]) -> Result<String, 
 
 fn rows_of(views: &[View], points: &[StereoPoint]) -> Vec<Row> {
     points.iter().map(|p| row(p.position, p.colour, on_foreground(views, p.position))).collect()
-}
-
-fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {
-    let view = |v: usize| -> Result<View, PrepareError> {
-        Ok(View {
-            camera: capture.camera(Split::Train, v, 0)?,
-            image: capture.load_image(Split::Train, v, 0)?,
-            mask: capture.load_mask(Split::Train, v, 0)?,
-        })
-    };
-    (0..capture.views(Split::Train).len()).into_par_iter().map(view).collect()
-}
-
-pub(crate) fn row(p: DVec3, colour: [f32; 3], foreground: bool) -> Row {
-    let p = p.as_vec3();
-    [p.x, p.y, p.z, colour[0], colour[1], colour[2], f32::from(u8::from(foreground))]
 }
 
 /// Whether more than half of the views that see a point have it in their mask.

@@ -4,8 +4,9 @@
 //! pixel of a bare road gets the affine function that fits the points around it best, those of its own colour above all.
 
 use crate::hull::{Region, common_region};
-use crate::points::{Row, View, row};
+use crate::rows::{Row, row};
 use crate::stereo::StereoPoint;
+use crate::views::View;
 use ffgs_core::Camera;
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use rayon::prelude::*;
