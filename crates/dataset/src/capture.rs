@@ -156,6 +156,16 @@ impl Capture {
         if is_present(&path) { pixels::read_mask(&path, size).map(Some) } else { Ok(None) }
     }
 
+    /// Whether the capture has a mask for this image, which has its camera's size and is not cut off, without decoding it.
+    ///
+    /// # Errors
+    /// As [`Capture::load_mask`]; damage inside the file is found only by that.
+    pub fn probe_mask(&self, split: Split, view: usize, frame: usize) -> Result<bool, DatasetError> {
+        let size = self.camera(split, view, frame)?.size();
+        let path = self.mask_path(split, view, frame)?;
+        if is_present(&path) { pixels::probe_image(&path, size).map(|()| true) } else { Ok(false) }
+    }
+
     /// Reads the initial points; non-finite ones are dropped and counted in [`Points::dropped`].
     ///
     /// # Errors

@@ -77,6 +77,10 @@ impl method::Capture for Capture {
         self.load_mask(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
     }
 
+    fn probe_mask(&self, at: ViewAt) -> Result<bool, Fault> {
+        self.probe_mask(at.split, at.view, at.frame).map_err(|error| error.in_capture(self.root()))
+    }
+
     fn points(&self) -> Result<Option<Points>, Fault> {
         if !is_present(&self.points_path()) {
             return Ok(None);

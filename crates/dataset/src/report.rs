@@ -29,6 +29,8 @@ pub struct ViewSummary {
     pub images: usize,
     /// Masks that were read.
     pub masks: usize,
+    /// Masks that were decoded, all or those of some frames: the counts and shares below are of these.
+    pub decoded_masks: usize,
     /// Frames whose image has no mask.
     pub missing_masks: Vec<usize>,
     /// Masks without a foreground pixel.

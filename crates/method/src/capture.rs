@@ -79,6 +79,14 @@ pub trait Capture: fmt::Debug + Send + Sync {
     /// When there is one that is damaged or of another size.
     fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault>;
 
+    /// Whether there is a mask, and it is whole, decoding no more than that takes.
+    ///
+    /// # Errors
+    /// As [`Capture::mask`]; damage inside the file may be found only by that.
+    fn probe_mask(&self, at: ViewAt) -> Result<bool, Fault> {
+        self.mask(at).map(|mask| mask.is_some())
+    }
+
     /// Coloured points of frame 0; `None` where the capture has none.
     ///
     /// # Errors

@@ -144,6 +144,18 @@ impl Capture for FootageCapture {
         Some(file_of(&self.source(at).ok()?.pictures, at.frame).to_owned())
     }
 
+    fn probe_mask(&self, at: ViewAt) -> Result<bool, Fault> {
+        let source = self.source(at)?;
+        let probe = |masks| probe_image(file_of(masks, at.frame), source.lens.size);
+        source
+            .masks
+            .as_ref()
+            .map(probe)
+            .transpose()
+            .map(|found| found.is_some())
+            .map_err(|error| self.fault(&error))
+    }
+
     fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault> {
         let source = self.source(at)?;
         let read = |masks| read_mask(file_of(masks, at.frame), source.lens.size);

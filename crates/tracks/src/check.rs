@@ -1,7 +1,7 @@
 //! What a capture's trackers offer, and what is wrong with their files.
 
 use crate::store::TrackStore;
-use ffgs_core::{ImageSize, TrackerLevel, ViewMotion};
+use ffgs_core::{ImageSize, TrackerLevel, ViewMotion, is_present};
 use ffgs_method::{Fault, Tracked};
 use rayon::prelude::*;
 use std::fmt;
@@ -60,12 +60,43 @@ pub struct TracksReport {
     pub notes: Vec<String>,
 }
 
-/// Reads, in parallel, the file of every tracker for `cameras` (folder name, image size) and the motions into
+/// Which files are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FilesRead {
+    /// All.
+    All,
+    /// Those of some frames; of the others it is only asked whether they are there. For a caller that reads them when it comes to
+    /// them: dense motion of a long capture is more than a machine reads in minutes.
+    Some,
+}
+
+/// Frames of which files are read where not all are.
+const FRAMES_READ: usize = 16;
+
+impl FilesRead {
+    /// Whether those of one of so many frames are.
+    fn includes(self, frame: usize, frames: usize) -> bool {
+        self == Self::All || frame.is_multiple_of(frames.div_ceil(FRAMES_READ).max(1)) || frame + 1 == frames
+    }
+}
+
+/// Reads, in parallel, the files of every tracker for `cameras` (folder name, image size) and the motions into
 /// frames `1..frames`.
-pub fn check(store: &TrackStore, cameras: &[(String, ImageSize)], frames: usize) -> TracksReport {
+pub fn check(
+    store: &TrackStore,
+    cameras: &[(String, ImageSize)],
+    frames: usize,
+    read: FilesRead,
+) -> TracksReport {
     let mut report = TracksReport { list: store.list(), ..TracksReport::default() };
     for tracker in 0..store.trackers().len() {
-        check_tracker(store, tracker, cameras, frames, &mut report);
+        let mut summary = look(store, tracker, (cameras, frames), read, &mut report);
+        // Nothing in some frames is not nothing in all.
+        if summary.tracks == 0 && read == FilesRead::Some && report.faults.is_empty() {
+            summary = look(store, tracker, (cameras, frames), FilesRead::All, &mut report);
+        }
+        report.judge(&summary);
+        report.trackers.push(summary);
     }
     report.judge_empty();
     if report.trackers.is_empty() {
@@ -74,18 +105,23 @@ pub fn check(store: &TrackStore, cameras: &[(String, ImageSize)], frames: usize)
     report
 }
 
-fn check_tracker(
+/// The files of a tracker, and faults into the report.
+fn look(
     store: &TrackStore,
     tracker: usize,
-    cameras: &[(String, ImageSize)],
-    frames: usize,
+    (cameras, frames): (&[(String, ImageSize)], usize),
+    read: FilesRead,
     report: &mut TracksReport,
-) {
+) -> TrackerSummary {
     let items: Vec<_> = cameras.iter().flat_map(|camera| (1..frames).map(move |t| (camera, t))).collect();
     let load = |((name, size), t): &(&(String, ImageSize), usize)| {
-        count(store.load(tracker, name, *t, *size), *size)
+        if read.includes(*t, frames) {
+            return count(store.load(tracker, name, *t, *size), *size);
+        }
+        let present = is_present(&store.path(tracker, name, *t)?);
+        Ok(present.then_some(Counts { kept: 0, dropped: 0, outside: 0, inside_exchanged: 0 }))
     };
-    let counts: Vec<_> = items.par_iter().map(load).collect();
+    let counts: Vec<Result<Option<Counts>, Fault>> = items.par_iter().map(load).collect();
     let entry = &store.trackers()[tracker];
     let mut summary = TrackerSummary {
         name: entry.name.clone(),
@@ -116,8 +152,7 @@ fn check_tracker(
     if summary.files > 0 {
         summary.frames_without = (1..frames).filter(|t| !with_file[*t]).collect();
     }
-    report.judge(&summary);
-    report.trackers.push(summary);
+    summary
 }
 
 /// Of one file.

@@ -26,7 +26,7 @@ mod source;
 mod store;
 
 pub use background::{MovingBackground, moving_backgrounds};
-pub use check::{TrackerSummary, TracksReport, check};
+pub use check::{FilesRead, TrackerSummary, TracksReport, check};
 pub use formats::FORMATS;
 pub use index::Tracker;
 pub use source::sources;

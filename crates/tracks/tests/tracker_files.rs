@@ -4,7 +4,7 @@ use exr::prelude::{AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, 
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Mask, ViewMotion};
 use ffgs_method::{Capture, Fault, Points, Split, ViewAt};
-use ffgs_tracks::{TrackStore, check};
+use ffgs_tracks::{FilesRead, TrackStore, check};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -274,10 +274,11 @@ fn a_wrong_index_is_refused() {
 fn the_sample_has_every_file() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
     let store = TrackStore::open(&root).unwrap().unwrap();
-    let report = check(&store, &[("trk001".to_owned(), ImageSize { width: 320, height: 180 })], 6);
+    let report =
+        check(&store, &[("trk001".to_owned(), ImageSize { width: 320, height: 180 })], 6, FilesRead::All);
     assert!(report.faults.is_empty(), "{report}");
     assert!(report.trackers.iter().all(|t| t.files == 5 && t.missing == 0 && t.tracks > 0), "{report}");
-    let blind = check(&store, &[("nobody".to_owned(), SIZE)], 6);
+    let blind = check(&store, &[("nobody".to_owned(), SIZE)], 6, FilesRead::All);
     assert_eq!(blind.faults.len(), 3);
 }
 
@@ -288,7 +289,7 @@ fn exchanged_tracks_are_faults_and_frames_without_any_are_noted() {
         NpzWriter::new().f32("src", &[2, 2], rows).f32("tgt", &[2, 2], rows).write(file).unwrap();
     };
     let size = ImageSize { width: 9, height: 3 };
-    let faults = |frames| check(&store, &[("cam".into(), size)], frames).to_string();
+    let faults = |frames| check(&store, &[("cam".into(), size)], frames, FilesRead::All).to_string();
     write(&file, &[7.0, 1.0, 5.0, 2.0]);
     assert!(!faults(2).contains("fault"), "{}", faults(2));
     assert!(faults(3).contains("note: tracker 'x': no view has a file for frame 2"), "{}", faults(3));
@@ -300,6 +301,25 @@ fn exchanged_tracks_are_faults_and_frames_without_any_are_noted() {
     );
     write(&file, &[70.0, 10.0, 50.0, 20.0]);
     assert!(faults(2).contains("those of another size"), "{}", faults(2));
+}
+
+#[test]
+fn a_long_capture_is_judged_by_some_of_its_files() {
+    let (_folder, store, _) = store("medium", "npz");
+    let size = ImageSize { width: 9, height: 3 };
+    for frame in 1..40 {
+        let rows = [7.0, 1.0, 5.0, 2.0];
+        let file = store.path(0, "cam", frame).unwrap();
+        NpzWriter::new().f32("src", &[2, 2], &rows).f32("tgt", &[2, 2], &rows).write(&file).unwrap();
+    }
+    fs::write(store.path(0, "cam", 4).unwrap(), "no archive").unwrap();
+    let report = |read| check(&store, &[("cam".into(), size)], 40, read);
+    let some = report(FilesRead::Some);
+    assert!(some.faults.is_empty() && some.trackers[0].files == 39, "{some}");
+    assert!((20..39).contains(&some.trackers[0].tracks), "two per file that is read: {some}");
+    assert_eq!(report(FilesRead::All).faults.len(), 1);
+    fs::remove_file(store.path(0, "cam", 5).unwrap()).unwrap();
+    assert_eq!(report(FilesRead::Some).trackers[0].missing, 1);
 }
 
 /// A view without a file is left out; a link that leads nowhere is a fault that names it.

@@ -8,7 +8,7 @@ use anyhow::Result;
 use ffgs_core::ImageSize;
 use ffgs_dataset::{CheckReport, ImageCheck, Note, check_with_progress};
 use ffgs_method::{Capture, Part, Split, ViewAt};
-use ffgs_tracks::{MovingBackground, TrackStore, TracksReport, moving_backgrounds};
+use ffgs_tracks::{FilesRead, MovingBackground, TrackStore, TracksReport, moving_backgrounds};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
 use std::path::Path;
@@ -56,7 +56,7 @@ impl CaptureCheck {
     }
 }
 
-/// Reads every file of the capture and its trackers; images as `images` says. The bar (unless `quiet`) counts images.
+/// Reads every file of the capture and its trackers, or with [`ImageCheck::Probe`] those of some frames. The bar (unless `quiet`) counts images.
 ///
 /// # Errors
 /// When the capture cannot be opened at all; the message names file and fix.
@@ -90,7 +90,8 @@ fn check_tracks(capture: &dyn Capture, images: ImageCheck, content: &mut CheckRe
             if images == ImageCheck::Decode {
                 content.notes.extend(moving_backgrounds(&store, capture).iter().map(|m| moving(capture, m)));
             }
-            ffgs_tracks::check(&store, &training_cameras(capture), capture.frames())
+            let read = if images == ImageCheck::Decode { FilesRead::All } else { FilesRead::Some };
+            ffgs_tracks::check(&store, &training_cameras(capture), capture.frames(), read)
         }
         Ok(None) => {
             let text = "no tracks.json: the methods trackers, tracker:NAME and trackersplat cannot be used; `ffgs track` makes tracks".to_owned();
