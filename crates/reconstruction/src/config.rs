@@ -1,6 +1,6 @@
 //! The settings of the reconstruction; those of the motion initialisation are the method's own.
 
-use ffgs_fusion::GrowthConfig;
+use ffgs_fusion::{GroupsConfig, GrowthConfig};
 use ffgs_motion::MarkingConfig;
 use ffgs_trainer::{
     BackgroundConfig, BirthConfig, DisocclusionConfig, DynamicLaneConfig, FirstFrameConfig, ResolutionConfig,
@@ -17,6 +17,8 @@ pub struct ReconstructionConfig {
     pub first_frame: FirstFrameConfig,
     /// Which Gaussians are dynamic.
     pub marking: MarkingConfig,
+    /// Which moving Gaussians lie together.
+    pub groups: GroupsConfig,
     /// Bounds of the dynamic layer's growth.
     pub densification: GrowthConfig,
     /// Moving Gaussians where masks are not explained.
@@ -38,6 +40,7 @@ impl Default for ReconstructionConfig {
             sky_face_size: 128,
             first_frame: FirstFrameConfig::default(),
             marking: MarkingConfig::default(),
+            groups: GroupsConfig::default(),
             densification: GrowthConfig::default(),
             birth: BirthConfig::default(),
             resolution: ResolutionConfig::default(),

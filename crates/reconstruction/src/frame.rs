@@ -3,14 +3,15 @@
 //! ```text
 //! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
 //! frame t   state of t-1, photographs of t
-//!           -> mark again -> predict (the method) -> add newborn -> dynamic, static and sky lane -> disocclusion
-//!           -> learn information -> state of t
+//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn
+//!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
 //! ```
 
 use crate::first_training::{Earlier, FirstViews};
 use crate::knowledge::Predicted;
 use crate::lanes::FrameStart;
 use crate::reconstructor::{Reconstructor, State};
+use crate::stops::Moving;
 use anyhow::{Context, Result};
 use ffgs_core::{Scene, StageLog, TrainingView};
 use ffgs_method::{Finetuning, Step};
@@ -62,10 +63,15 @@ impl Reconstructor<'_> {
         if self.config.marking.every_frame && self.method.births() {
             self.mark_again(&mut state, log)?;
         }
+        let keeps_stopped = self.config.marking.second_chance && self.method.births();
+        let moving = keeps_stopped.then(|| Moving::of(&state.scene.dynamic));
         let before = std::mem::take(&mut state.views);
         let step = self.step(frame, &before, &now);
         let prediction = self.method.predict(&step, &mut state.scene, log);
         prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
+        if let Some(moving) = moving {
+            self.keep_stopped(&moving, &mut state, &now, log)?;
+        }
         predicted(&step, &state.scene)?;
         if self.method.births() {
             self.add_newborn(frame, &mut state.scene, &now, log)?;

@@ -18,6 +18,7 @@ mod marking;
 mod monitor;
 mod reconstructor;
 mod sky;
+mod stops;
 
 pub use config::ReconstructionConfig;
 pub use devices::Devices;

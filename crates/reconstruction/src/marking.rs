@@ -85,14 +85,21 @@ fn mark_again(
     let Dynamic { steps, covariances: all, .. } = &mut scene.dynamic;
     steps.iter_mut().skip(moving.len()).for_each(|step| *step = DVec3::ZERO);
     all.splice(moving.len().., covariances(&started, views));
-    let mut still = scene.static_layer.select(&standing);
-    still.extend(&stopped);
-    scene.static_layer = Arc::new(still);
-    follow(&mut scene.hidden, &standing, stopping.len(), 0);
+    scene.static_layer = Arc::new(scene.static_layer.select(&standing));
+    follow(&mut scene.hidden, &standing, 0, 0);
+    follow(&mut scene.static_colours, &standing, 0, [0.0; 2]);
+    add_static(background, scene, &stopped);
+    Ok([starting.len(), stopping.len()])
+}
+
+/// Adds Gaussians that moved to the static layer. They are in sight, and nothing is known of how their colours change.
+pub(crate) fn add_static(background: &BackgroundConfig, scene: &mut Scene, stopped: &Gaussians) {
+    let all: Vec<usize> = (0..scene.static_layer.len()).collect();
+    Arc::make_mut(&mut scene.static_layer).extend(stopped);
+    follow(&mut scene.hidden, &all, stopped.len(), 0);
     let unknown =
         [background.solve_sh0_change, background.solve_sh_rest_change].map(|change| change * change);
-    follow(&mut scene.static_colours, &standing, stopping.len(), unknown);
-    Ok([starting.len(), stopping.len()])
+    follow(&mut scene.static_colours, &all, stopped.len(), unknown);
 }
 
 /// A column of the static layer, where there is one, of which only `standing` stay and to which `stopping` come.

@@ -67,7 +67,7 @@ pub enum FilesRead {
     All,
     /// Those of some frames; of the others it is only asked whether they are there. For a caller that reads them when it comes to
     /// them: dense motion of a long capture is more than a machine reads in minutes.
-    Some,
+    Sampled,
 }
 
 /// Frames of which files are read where not all are.
@@ -92,7 +92,7 @@ pub fn check(
     for tracker in 0..store.trackers().len() {
         let mut summary = look(store, tracker, (cameras, frames), read, &mut report);
         // Nothing in some frames is not nothing in all.
-        if summary.tracks == 0 && read == FilesRead::Some && report.faults.is_empty() {
+        if summary.tracks == 0 && read == FilesRead::Sampled && report.faults.is_empty() {
             summary = look(store, tracker, (cameras, frames), FilesRead::All, &mut report);
         }
         report.judge(&summary);

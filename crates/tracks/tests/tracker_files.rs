@@ -314,12 +314,12 @@ fn a_long_capture_is_judged_by_some_of_its_files() {
     }
     fs::write(store.path(0, "cam", 4).unwrap(), "no archive").unwrap();
     let report = |read| check(&store, &[("cam".into(), size)], 40, read);
-    let some = report(FilesRead::Some);
+    let some = report(FilesRead::Sampled);
     assert!(some.faults.is_empty() && some.trackers[0].files == 39, "{some}");
     assert!((20..39).contains(&some.trackers[0].tracks), "two per file that is read: {some}");
     assert_eq!(report(FilesRead::All).faults.len(), 1);
     fs::remove_file(store.path(0, "cam", 5).unwrap()).unwrap();
-    assert_eq!(report(FilesRead::Some).trackers[0].missing, 1);
+    assert_eq!(report(FilesRead::Sampled).trackers[0].missing, 1);
 }
 
 /// A view without a file is left out; a link that leads nowhere is a fault that names it.

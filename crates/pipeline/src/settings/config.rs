@@ -158,6 +158,7 @@ impl Config {
             sky_face_size: self.sky_face_size,
             first_frame: self.first_frame,
             marking: self.marking,
+            groups: self.fusion.groups,
             densification: self.densification,
             birth: self.birth,
             resolution: self.resolution,

@@ -90,7 +90,7 @@ fn check_tracks(capture: &dyn Capture, images: ImageCheck, content: &mut CheckRe
             if images == ImageCheck::Decode {
                 content.notes.extend(moving_backgrounds(&store, capture).iter().map(|m| moving(capture, m)));
             }
-            let read = if images == ImageCheck::Decode { FilesRead::All } else { FilesRead::Some };
+            let read = if images == ImageCheck::Decode { FilesRead::All } else { FilesRead::Sampled };
             ffgs_tracks::check(&store, &training_cameras(capture), capture.frames(), read)
         }
         Ok(None) => {

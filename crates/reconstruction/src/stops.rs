@@ -1,0 +1,187 @@
+//! What moved and stops: when its masks go, it joins the static layer where the photographs still show it
+//! (docs/adr/0062-what-stops-stays.md).
+
+use crate::devices::Devices;
+use crate::marking::add_static;
+use crate::reconstructor::{Reconstructor, State};
+use anyhow::Result;
+use ffgs_core::{Dynamic, Gaussians, ImageRgb8, PlanarImage, Scene, StageLog, TrainingView, stage};
+use ffgs_fusion::{GroupsConfig, spatial_objects};
+use ffgs_trainer::BackgroundConfig;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Fewest Gaussians of an object: fewer come and go as debris.
+const LEAST: usize = 64;
+/// Difference of a channel from which two renders differ at a pixel.
+const DIFFERENT: f32 = 0.02;
+/// An object stays when the squared error with it is below this share of that without it.
+const SHOWN: f64 = 0.7;
+
+impl Reconstructor<'_> {
+    /// What left the moving layer, which was `before` at t-1, joins the static one where `now` still shows it.
+    pub(crate) fn keep_stopped(
+        &self,
+        before: &Moving,
+        state: &mut State,
+        now: &[TrainingView],
+        log: &mut StageLog,
+    ) -> Result<()> {
+        let start = Instant::now();
+        let gone = before.gone(&state.scene.dynamic, &self.config.groups);
+        let stopped = stand_still(self.devices, &self.config.background, &gone, &mut state.scene, now)?;
+        if stopped > 0 {
+            state.static_lane.forget();
+        }
+        log.skip("moving Gaussians that stand still from now on", stopped);
+        log.since(stage::VALIDATION, start);
+        Ok(())
+    }
+}
+
+/// The moving layer before its motion to t.
+pub(crate) struct Moving {
+    gaussians: Gaussians,
+    ids: Vec<u32>,
+}
+
+impl Moving {
+    /// That of a scene which is about to be moved.
+    pub(crate) fn of(dynamic: &Dynamic) -> Self {
+        Self { gaussians: dynamic.gaussians.clone(), ids: dynamic.ids.clone() }
+    }
+
+    /// The objects that are in `dynamic` no more, where they were at t-1.
+    fn gone(&self, dynamic: &Dynamic, groups: &GroupsConfig) -> Vec<Gaussians> {
+        let present: BTreeSet<u32> = dynamic.ids.iter().copied().collect();
+        let gone: Vec<usize> = (0..self.ids.len()).filter(|&i| !present.contains(&self.ids[i])).collect();
+        if gone.len() < LEAST {
+            return Vec::new();
+        }
+        let gone = self.gaussians.select(&gone);
+        let mut objects: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for (i, object) in spatial_objects(&gone.positions(), groups).into_iter().enumerate() {
+            objects.entry(object).or_default().push(i);
+        }
+        objects.values().filter(|object| object.len() >= LEAST).map(|object| gone.select(object)).collect()
+    }
+}
+
+/// Adds to the static layer those objects of `gone` that `views`, of t, show where they were. Returns the number of Gaussians.
+///
+/// # Errors
+/// When the device fails.
+fn stand_still(
+    devices: Devices,
+    background: &BackgroundConfig,
+    gone: &[Gaussians],
+    scene: &mut Scene,
+    views: &[TrainingView],
+) -> Result<usize> {
+    let mut count = 0;
+    for object in gone {
+        if is_shown(devices, scene, object, views)? {
+            count += object.len();
+            add_static(background, scene, object);
+        }
+    }
+    Ok(count)
+}
+
+/// Whether the photographs are explained better with the object than without it.
+fn is_shown(devices: Devices, scene: &Scene, object: &Gaussians, views: &[TrainingView]) -> Result<bool> {
+    let places = object.positions();
+    let seen = |view: &&TrainingView| places.iter().any(|place| view.camera.pixel_of(*place).is_some());
+    let mut errors = [0.0; 2];
+    let mut together = Gaussians::clone(&scene.static_layer);
+    together.extend(object);
+    let joined = Scene { static_layer: Arc::new(together), ..scene.clone() };
+    for view in views.iter().filter(seen) {
+        let render = |scene| Ok::<_, anyhow::Error>(devices.render(scene, &[view.camera])?.swap_remove(0));
+        add_errors(&mut errors, [&render(&joined)?, &render(scene)?], &view.image);
+    }
+    let [with, without] = errors;
+    Ok(with < SHOWN * without)
+}
+
+/// Adds the squared errors of both renders at the pixels where they differ.
+fn add_errors(errors: &mut [f64; 2], renders: [&PlanarImage; 2], photograph: &ImageRgb8) {
+    for p in 0..photograph.size().pixels() {
+        let [a, b] = renders.map(|render| render.pixel(p));
+        if (0..3).any(|c| (a[c] - b[c]).abs() > DIFFERENT) {
+            let shown = photograph.pixel(p);
+            for (error, render) in errors.iter_mut().zip([a, b]) {
+                *error += (0..3).map(|c| f64::from(render[c] - shown[c]).powi(2)).sum::<f64>();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageSize, Intrinsics, Mask, SkyCube};
+    use ffgs_testkit::look_at;
+    use ffgs_trainer::from_points;
+    use glam::{DVec3, Vec3};
+
+    /// A patterned ball of 0.6 m around a place.
+    fn ball(centre: Vec3) -> Gaussians {
+        let place = |i: usize| {
+            let z = 1.0 - (2.0 * i as f32 + 1.0) / 900.0;
+            let (sin, cos) = (2.399_963 * i as f32).sin_cos();
+            Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z) * 0.6
+        };
+        let places: Vec<Vec3> = (0..900).map(place).collect();
+        let colours: Vec<[f32; 3]> =
+            places.iter().map(|p| (*p * 7.0).to_array().map(|v| 0.5 + 0.4 * v.sin())).collect();
+        let positions: Vec<[f32; 3]> = places.iter().map(|p| (*p + centre).to_array()).collect();
+        from_points(&positions, &colours, 1, 0.95)
+    }
+
+    fn scene(moving: &Gaussians) -> Scene {
+        let mut dynamic = Dynamic { gaussians: moving.clone(), ..Dynamic::default() };
+        dynamic.number_new();
+        Scene {
+            static_layer: Arc::new(Gaussians::zeros(0, 1)),
+            hidden: Vec::new(),
+            static_colours: Vec::new(),
+            dynamic,
+            sky: SkyCube::filled(8, [0.3; 3]),
+        }
+    }
+
+    /// Six cameras over half a circle photograph a scene in which nothing counts as foreground.
+    fn photographs(of: &Scene) -> Vec<TrainingView> {
+        let size = ImageSize { width: 96, height: 72 };
+        let view = |i: usize| {
+            let (sin, cos) = (i as f64 * 0.5).sin_cos();
+            let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
+            let camera =
+                Camera::new(Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 }, pose, size).unwrap();
+            let image = ImageRgb8::from(&Devices(&[]).render(of, &[camera]).unwrap()[0]);
+            TrainingView { camera, image, mask: Mask::filled(size, false) }
+        };
+        (0..6).map(view).collect()
+    }
+
+    #[test]
+    fn what_stops_joins_the_static_layer_and_what_left_does_not() {
+        let (stops, leaves) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 1.2, 0.0)));
+        let mut both = stops.clone();
+        both.extend(&leaves);
+        let mut now = scene(&both);
+        let before = Moving::of(&now.dynamic);
+        let views = photographs(&scene(&stops));
+        let found = |now: &mut Scene| {
+            let gone = before.gone(&now.dynamic, &GroupsConfig::default());
+            stand_still(Devices(&[]), &BackgroundConfig::default(), &gone, now, &views).unwrap()
+        };
+        assert_eq!(found(&mut now), 0, "all are in the moving layer");
+        now.dynamic.keep(&[]);
+        assert_eq!(found(&mut now), stops.len());
+        assert_eq!(now.static_layer.means, stops.means);
+        assert_eq!(now.hidden.len(), 0, "a column that is not there stays so");
+    }
+}
