@@ -1,4 +1,4 @@
-//! Times, counts of what was skipped, and warnings of the stages of one frame, by name.
+//! Times, counts of Gaussians that came and went and of what was skipped, and warnings of the stages of one frame, by name.
 
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -7,7 +7,8 @@ use std::time::Instant;
 /// Seconds by the name of a stage.
 pub type Seconds = BTreeMap<String, f64>;
 
-/// What the stages of one frame say beside their results: how long they took, what they left out, what is odd.
+/// What the stages of one frame say beside their results: how long they took, which Gaussians came and went, what they left out,
+/// what is odd.
 ///
 /// Names are data: whoever reads a log goes through what is there. A stage is named once, where it is timed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -18,6 +19,8 @@ pub struct StageLog {
     pub seconds: Seconds,
     /// What was left out and why, and how often.
     pub skips: BTreeMap<String, u64>,
+    /// Gaussians that came, went or changed their layer, and why.
+    pub changes: BTreeMap<String, u64>,
     /// Warnings.
     pub warnings: Vec<String>,
 }
@@ -37,6 +40,13 @@ impl StageLog {
     pub fn skip(&mut self, what: impl Into<String>, count: usize) {
         if count > 0 {
             *self.skips.entry(what.into()).or_default() += count as u64;
+        }
+    }
+
+    /// Counts Gaussians that came, went or changed their layer; a count of 0 leaves no entry.
+    pub fn change(&mut self, what: &str, count: usize) {
+        if count > 0 {
+            *self.changes.entry(what.to_owned()).or_default() += count as u64;
         }
     }
 
@@ -61,10 +71,14 @@ mod tests {
         let mut log = StageLog::default();
         log.since("fuse", Instant::now());
         log.add_seconds("fuse", 2.0);
+        log.change("born", 0);
+        log.change("faded", 4);
+        log.change("faded", 1);
         log.skip("empty", 0);
         log.skip("far", 2);
         log.skip("far", 1);
         assert!(log.seconds["fuse"] >= 2.0 && log.seconds.len() == 1);
+        assert_eq!(log.changes, BTreeMap::from([("faded".to_owned(), 5)]));
         assert_eq!(log.skips, BTreeMap::from([("far".to_owned(), 3)]));
     }
 }

@@ -19,6 +19,7 @@ pub(crate) fn grow(input: &MotionInput, dynamic: &mut Dynamic, log: &mut StageLo
     dynamic.flexibility.extend(plan.iter().map(|p| dynamic.flexibility[p.0]).collect::<Vec<_>>());
     dynamic.steps.extend(plan.iter().map(|p| dynamic.steps[p.0]).collect::<Vec<_>>());
     dynamic.number_new();
+    log.change("split or cloned", plan.len());
     log.since(stage::GROWTH, start);
 }
 
@@ -26,6 +27,6 @@ pub(crate) fn grow(input: &MotionInput, dynamic: &mut Dynamic, log: &mut StageLo
 fn remove_faded(least: f32, dynamic: &mut Dynamic, log: &mut StageLog) {
     let logits = &dynamic.gaussians.opacity_logits;
     let kept: Vec<usize> = (0..logits.len()).filter(|&i| sigmoid(logits[i]) >= least).collect();
-    log.skip("Gaussians removed: faded", logits.len() - kept.len());
+    log.change("removed: faded", logits.len() - kept.len());
     dynamic.keep(&kept);
 }

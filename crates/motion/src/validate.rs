@@ -30,8 +30,8 @@ pub(crate) fn validate_positions(
     let wait = doubts(input, dynamic, &valid, &shown, log);
     let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait[i] && shown[i]).collect();
     let unseen = shown.iter().filter(|shown| !**shown).count();
-    log.skip("Gaussians removed: in no camera's image", unseen);
-    log.skip("Gaussians removed: outside the masks", means.len() - kept.len() - unseen);
+    log.change("removed: in no image", unseen);
+    log.change("removed: outside the masks", means.len() - kept.len() - unseen);
     for (target, mean) in dynamic.gaussians.means.iter_mut().zip(&means) {
         *target = mean.as_vec3().to_array();
     }

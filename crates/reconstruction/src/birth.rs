@@ -34,7 +34,7 @@ impl Reconstructor<'_> {
         if born > 0 {
             tracing::info!("frame {frame}: {born} Gaussians are born where the masks were not explained");
         }
-        log.skip("Gaussians born where the masks were not explained", born);
+        log.change("born", born);
         log.since(stage::BIRTH, start);
         Ok(())
     }

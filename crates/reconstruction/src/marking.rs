@@ -21,8 +21,8 @@ impl Reconstructor<'_> {
         if started + stopped > 0 {
             static_lane.forget();
         }
-        log.skip("static Gaussians that move from now on", started);
-        log.skip("moving Gaussians that stand still from now on", stopped);
+        log.change("starts to move", started);
+        log.change("stands still", stopped);
         log.since(stage::MARKING, start);
         Ok(())
     }

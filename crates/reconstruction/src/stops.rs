@@ -12,12 +12,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Fewest Gaussians of an object: fewer come and go as debris.
+/// Fewest Gaussians of an object,
 const LEAST: usize = 64;
+/// and the least share of the moving layer: less comes and goes as debris.
+const LEAST_SHARE: f64 = 0.01;
 /// Difference of a channel from which two renders differ at a pixel.
 const DIFFERENT: f32 = 0.02;
 /// An object stays when the squared error with it is below this share of that without it.
-const SHOWN: f64 = 0.7;
+const SHOWN: f64 = 0.4;
 
 impl Reconstructor<'_> {
     /// What left the moving layer, which was `before` at t-1, joins the static one where `now` still shows it.
@@ -34,7 +36,7 @@ impl Reconstructor<'_> {
         if stopped > 0 {
             state.static_lane.forget();
         }
-        log.skip("moving Gaussians that stand still from now on", stopped);
+        log.change("stands still", stopped);
         log.since(stage::VALIDATION, start);
         Ok(())
     }
@@ -56,7 +58,8 @@ impl Moving {
     fn gone(&self, dynamic: &Dynamic, groups: &GroupsConfig) -> Vec<Gaussians> {
         let present: BTreeSet<u32> = dynamic.ids.iter().copied().collect();
         let gone: Vec<usize> = (0..self.ids.len()).filter(|&i| !present.contains(&self.ids[i])).collect();
-        if gone.len() < LEAST {
+        let least = LEAST.max((LEAST_SHARE * self.ids.len() as f64) as usize);
+        if gone.len() < least {
             return Vec::new();
         }
         let gone = self.gaussians.select(&gone);
@@ -64,7 +67,7 @@ impl Moving {
         for (i, object) in spatial_objects(&gone.positions(), groups).into_iter().enumerate() {
             objects.entry(object).or_default().push(i);
         }
-        objects.values().filter(|object| object.len() >= LEAST).map(|object| gone.select(object)).collect()
+        objects.values().filter(|object| object.len() >= least).map(|object| gone.select(object)).collect()
     }
 }
 

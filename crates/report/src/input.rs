@@ -2,6 +2,7 @@
 
 use ffgs_core::Seconds;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// All that a report shows.
@@ -82,6 +83,8 @@ pub struct FrameReport {
     pub dynamic_gaussians: usize,
     /// Bytes on disk.
     pub bytes: u64,
+    /// Gaussians that came, went or changed their layer in this frame, and why.
+    pub changes: BTreeMap<String, u64>,
     /// Seconds per stage, without those that did not run.
     pub seconds: Seconds,
     /// JSON file of the frame's [`crate::FramePictures`]; a frame without is shown without pictures.

@@ -7,6 +7,7 @@ use crate::{FrameReport, ReportError, ReportInput, ViewReport, picture};
 use ffgs_core::{read_text, stage, write_atomically};
 use minijinja::Environment;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
 
@@ -150,6 +151,7 @@ fn plots(frames: &[FrameReport]) -> Vec<String> {
     };
     let counts = [count("static", |f| f.static_gaussians), count("dynamic", |f| f.dynamic_gaussians)];
     out.push(over_frames("Gaussians", &counts));
+    out.extend(changes(frames));
     let grade = |name: &str, of: &dyn Fn(&FrameReport) -> Option<f64>| {
         let points = frames.iter().map(|f| (f.index as f64, of(f))).collect();
         Series { name: name.to_owned(), bold: false, points }
@@ -162,6 +164,19 @@ fn plots(frames: &[FrameReport]) -> Vec<String> {
         out.push(over_frames("mean MPSNR (dB)", &series));
     }
     out
+}
+
+/// Gaussians that come, go or change their layer in each frame, by the reason; `None` where there are none.
+fn changes(frames: &[FrameReport]) -> Option<String> {
+    let reasons: BTreeSet<&String> = frames.iter().flat_map(|f| f.changes.keys()).collect();
+    let count = |f: &FrameReport, reason: &String| f.changes.get(reason).copied().unwrap_or_default() as f64;
+    let of_reason = |reason: &&String| Series {
+        name: (*reason).clone(),
+        bold: false,
+        points: frames.iter().map(|f| (f.index as f64, Some(count(f, reason)))).collect(),
+    };
+    let series: Vec<Series> = reasons.iter().map(of_reason).collect();
+    (!series.is_empty()).then(|| over_frames("Gaussians that change", &series))
 }
 
 /// The mean over views first, then each view (of all frames, in order of appearance).

@@ -6,6 +6,7 @@ use ffgs_report::{
     uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
@@ -26,7 +27,8 @@ fn run(folder: &Path) -> ReportInput {
     fs::write(&path, serde_json::to_vec(&pictures).unwrap()).unwrap();
     let view = ViewReport { name: "</script><b>cam".into(), psnr: Some(20.0), ..ViewReport::default() };
     let frame = FrameReport { views: vec![view], pictures: Some(path), ..FrameReport::default() };
-    let later = FrameReport { index: 1, ..frame.clone() };
+    let changes = BTreeMap::from([("born".to_owned(), 12)]);
+    let later = FrameReport { index: 1, changes, ..frame.clone() };
     ReportInput { title: "a < b".into(), frames: vec![frame, later], ..ReportInput::default() }
 }
 
@@ -52,6 +54,7 @@ fn the_page_stands_alone_and_its_data_parse() {
     let frames = json(&html, "const frames = ", ";\n");
     assert_eq!(frames[1]["views"][0]["name"], "</script><b>cam");
     assert!(frames[0]["views"][0]["mpsnr"].is_null());
+    assert!(html.contains("aria-label=\"Gaussians that change\"") && html.contains("</i>born</span>"));
     for frame in 0..2 {
         let start = format!("id=\"pictures-{frame}\">");
         let pictures = json(&html, &start, "</script>");

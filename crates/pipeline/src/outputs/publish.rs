@@ -89,6 +89,7 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,
         bytes: f.bytes,
+        changes: f.log.changes.clone(),
         seconds: f.log.seconds.clone(),
         pictures: Some(folder.pictures(f.frame)).filter(|path| path.exists()),
     }
