@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn what_stops_joins_the_static_layer_and_what_left_does_not() {
-        let (stops, leaves) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 1.2, 0.0)));
+        let (stops, leaves) = (ball(Vec3::new(1.2, -1.5, 0.0)), ball(Vec3::new(-1.5, 1.5, 0.0)));
         let mut both = stops.clone();
         both.extend(&leaves);
         let mut now = scene(&both);
@@ -183,6 +183,8 @@ mod tests {
         };
         assert_eq!(found(&mut now), 0, "all are in the moving layer");
         now.dynamic.keep(&[]);
+        let gone = before.gone(&now.dynamic, &GroupsConfig::default());
+        assert_eq!(gone.iter().map(Gaussians::len).collect::<Vec<_>>(), [stops.len(), leaves.len()]);
         assert_eq!(found(&mut now), stops.len());
         assert_eq!(now.static_layer.means, stops.means);
         assert_eq!(now.hidden.len(), 0, "a column that is not there stays so");
