@@ -27,6 +27,7 @@ mod block;
 mod chunks;
 mod compose;
 pub mod constants;
+mod contributor_lists;
 mod coverage;
 mod cpu;
 mod dropout;
@@ -46,6 +47,7 @@ mod view;
 
 pub use association::{Association, AssociationScene, AssociationScratch, Observed};
 pub use constants::TILE;
+pub use contributor_lists::{ContributorError, ContributorLists, ListedMotion, associate_lists};
 pub use cpu::CpuRasterizer;
 pub use dropout::Dropout;
 pub use footprint::FootprintSums;

@@ -6,9 +6,9 @@ use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
-    BackgroundConfig, BirthConfig, ColourVariance, CpuBackend, Disoccluded, DisocclusionConfig,
-    DynamicLaneConfig, FirstFrame, FirstFrameConfig, Newborn, Progress, StaticLane, StaticTargets,
-    Surroundings, train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
+    BackgroundConfig, BirthConfig, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
+    FirstFrame, FirstFrameConfig, Newborn, Progress, StaticColours, StaticLane, StaticTargets, Surroundings,
+    train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;
@@ -85,13 +85,13 @@ impl<'a> Devices<'a> {
         lane: &mut StaticLane,
         config: &BackgroundConfig,
         targets: StaticTargets,
-        layer: (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
+        colours: StaticColours,
         seed: u64,
         report: Report,
     ) -> Result<()> {
         match self.gpu(1) {
-            None => lane.train(&CpuBackend, config, targets, layer, seed, report)?,
-            Some(gpu) => lane.train(&GpuBackend(gpu), config, targets, layer, seed, report)?,
+            None => lane.train(&CpuBackend, config, targets, colours, seed, report)?,
+            Some(gpu) => lane.train(&GpuBackend(gpu), config, targets, colours, seed, report)?,
         }
         Ok(())
     }

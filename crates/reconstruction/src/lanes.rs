@@ -4,7 +4,9 @@ use crate::knowledge::{self, Predicted};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
-use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticTargets, Surroundings};
+use ffgs_trainer::{
+    DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticColours, StaticTargets, Surroundings,
+};
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -61,8 +63,9 @@ impl Reconstructor<'_> {
                 timed(&mut || {
                     let targets = StaticTargets { views: &standing.views, sky: &sky_start };
                     let report = &mut |p| show_static(p);
-                    let layer = (&mut *static_layer, &mut *static_colours);
-                    devices.static_layer(static_lane, background, targets, layer, seed, report)
+                    let colours =
+                        StaticColours { layer: &mut *static_layer, variances: &mut *static_colours };
+                    devices.static_layer(static_lane, background, targets, colours, seed, report)
                 })
             },
             || timed(&mut || devices.sky(background, &standing.views, &static_start, sky, seed)),

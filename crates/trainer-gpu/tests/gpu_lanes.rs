@@ -7,8 +7,8 @@ use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_trainer::{
     BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, PixelNoise, Prior,
-    StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend, train_dynamic, train_first_frame,
-    train_sky,
+    StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend, train_dynamic,
+    train_first_frame, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use scene::{SKY, World, blob, information, joint, mean_psnr, perturbed, photographs, world};
@@ -47,7 +47,14 @@ fn static_steps<B: TrainBackend>(
     layer: &mut Arc<Gaussians>,
 ) -> Result<(), B::Error> {
     let targets = StaticTargets { views, sky };
-    StaticLane::default().train(backend, config, targets, (layer, &mut Vec::new()), 3, &mut |_| {})
+    StaticLane::default().train(
+        backend,
+        config,
+        targets,
+        StaticColours { layer, variances: &mut Vec::new() },
+        3,
+        &mut |_| {},
+    )
 }
 
 #[test]

@@ -48,5 +48,5 @@ pub use resolution::ResolutionConfig;
 pub use schedule::{Epochs, Schedule, decay};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
 pub use sky_lane::{shows_sky, train_sky};
-pub use static_lane::{ColourVariance, StaticLane, StaticTargets};
+pub use static_lane::{ColourVariance, StaticColours, StaticLane, StaticTargets};
 pub use view::{Progress, camera_extent};

@@ -6,8 +6,8 @@ use criterion::{BenchmarkId, Criterion, Throughput};
 use ffgs_core::{Gaussians, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, StaticLane, StaticMethod, StaticTargets, Surroundings,
-    train_dynamic,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, StaticColours, StaticLane, StaticMethod, StaticTargets,
+    Surroundings, train_dynamic,
 };
 use std::sync::Arc;
 
@@ -79,7 +79,14 @@ pub(crate) fn static_lane(c: &mut Criterion) {
                     let (mut lane, mut layer) = (StaticLane::default(), Arc::new(layer.clone()));
                     let seen = StaticTargets { views: &views, sky: &sky };
                     let run = || {
-                        lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| {})
+                        lane.train(
+                            &CpuBackend,
+                            &config,
+                            seen,
+                            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+                            1,
+                            &mut |_| {},
+                        )
                     };
                     let Ok(()) = pool.install(run);
                 });

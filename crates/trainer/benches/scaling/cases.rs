@@ -5,8 +5,8 @@ use crate::{held, memory};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, StaticLane, StaticTargets,
-    Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, StaticColours, StaticLane,
+    StaticTargets, Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
 };
 use std::fmt;
 use std::sync::Arc;
@@ -169,8 +169,14 @@ impl Case {
         let mut clock = Clock::start();
         let (mut layer, seen) = (Arc::new(layer), StaticTargets { views, sky: &sky });
         let lane = &mut StaticLane::default();
-        let Ok(()) =
-            lane.train(&CpuBackend, &config, seen, (&mut layer, &mut Vec::new()), 1, &mut |_| clock.tick());
+        let Ok(()) = lane.train(
+            &CpuBackend,
+            &config,
+            seen,
+            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+            1,
+            &mut |_| clock.tick(),
+        );
         let peak = memory::peak();
         (clock, peak, held::static_solve(&layer, self.size, views.len()) as f64)
     }

@@ -22,6 +22,15 @@ pub struct StaticTargets<'a> {
     pub sky: &'a SkyCube,
 }
 
+/// The layer whose colours the static lane changes.
+#[derive(Debug)]
+pub struct StaticColours<'a> {
+    /// The layer.
+    pub layer: &'a mut Arc<Gaussians>,
+    /// (N) variances of its colours; empty = nothing is known.
+    pub variances: &'a mut Vec<ColourVariance>,
+}
+
 /// Contributors kept per pixel where memory allows; more gain nothing (docs/adr/0007).
 const MOST_CONTRIBUTORS: usize = 16;
 /// With fewer the model is too coarse to be solved.
@@ -67,8 +76,7 @@ pub struct StaticLane {
 }
 
 impl StaticLane {
-    /// Finetunes the colours of `layer`. `known` are the variances of these colours before the frame; empty = nothing is known.
-    /// Geometry and opacities must be those of the last call, unless [`forget`](Self::forget) was called since. The steps
+    /// Finetunes the colours. Geometry and opacities must be those of the last call, unless [`forget`](Self::forget) was called since. The steps
     /// run on `backend`, the linear solve always on the CPU.
     ///
     /// # Errors
@@ -78,11 +86,12 @@ impl StaticLane {
         backend: &B,
         config: &BackgroundConfig,
         targets: StaticTargets,
-        (layer, known): (&mut Arc<Gaussians>, &mut Vec<ColourVariance>),
+        colours: StaticColours,
         seed: u64,
         report: &mut dyn FnMut(Progress),
     ) -> Result<(), B::Error> {
         let StaticTargets { views, sky } = targets;
+        let StaticColours { layer, variances } = colours;
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
@@ -92,7 +101,7 @@ impl StaticLane {
             // A pixel of the lattice speaks for those that are left out.
             let solve_noise = config.solve_noise / tracing.stride as f32;
             let config = BackgroundConfig { solve_noise, ..*config };
-            solve::solve(&config, &self.traces, views, sky, Arc::make_mut(layer), known, report);
+            solve::solve(&config, &self.traces, views, sky, Arc::make_mut(layer), variances, report);
             return Ok(());
         }
         steps::train(backend, config, targets, layer, seed, report)

@@ -370,7 +370,7 @@ fn clamp_slopes(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 mod tests {
     use super::*;
     use crate::static_lane::Tracing;
-    use crate::{CpuBackend, StaticLane, StaticTargets, from_points};
+    use crate::{CpuBackend, StaticColours, StaticLane, StaticTargets, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
     use std::sync::Arc;
 
@@ -424,7 +424,15 @@ mod tests {
         let targets = StaticTargets { views, sky };
         let lane = &mut StaticLane::default();
         let mut known = Vec::new();
-        lane.train(&CpuBackend, &config, targets, (&mut out, &mut known), 1, &mut |_| {}).unwrap();
+        lane.train(
+            &CpuBackend,
+            &config,
+            targets,
+            StaticColours { layer: &mut out, variances: &mut known },
+            1,
+            &mut |_| {},
+        )
+        .unwrap();
         Arc::unwrap_or_clone(out)
     }
 
@@ -497,7 +505,15 @@ mod tests {
             let mut lane = StaticLane::default();
             let mut frame = |views: &[TrainingView], out: &mut Arc<Gaussians>| {
                 let targets = StaticTargets { views, sky: &sky };
-                lane.train(&CpuBackend, &config, targets, (out, &mut known), 1, &mut |_| {}).unwrap();
+                lane.train(
+                    &CpuBackend,
+                    &config,
+                    targets,
+                    StaticColours { layer: out, variances: &mut known },
+                    1,
+                    &mut |_| {},
+                )
+                .unwrap();
             };
             (0..frames).for_each(|_| frame(&views, &mut out));
             let before = out.clone();

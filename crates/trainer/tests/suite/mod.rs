@@ -8,9 +8,9 @@ use ffgs_core::{
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_trainer::{
     Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
-    LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticLane, StaticMethod,
-    StaticTargets, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic, train_first_frame,
-    train_sky,
+    LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticColours, StaticLane,
+    StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic,
+    train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
 use std::sync::Arc;
@@ -123,7 +123,15 @@ impl World {
         let mut layer = Arc::new(recoloured(&self.fixed));
         let targets = StaticTargets { views: &self.views, sky: &self.sky };
         let (config, mut lane) = (static_config(method), StaticLane::default());
-        lane.train(backend, &config, targets, (&mut layer, &mut Vec::new()), SEED, &mut |_| {}).unwrap();
+        lane.train(
+            backend,
+            &config,
+            targets,
+            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+            SEED,
+            &mut |_| {},
+        )
+        .unwrap();
         Arc::unwrap_or_clone(layer)
     }
 

@@ -5,138 +5,9 @@ use super::agreement::motions;
 use super::input::{ANY, Input, narrow, points2};
 use anyhow::{Result, ensure};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::{DenseMotion, ImageSize, Mask};
+use ffgs_core::{ImageSize, Mask};
+use ffgs_rasterizer::{ContributorLists, associate_lists};
 use glam::DVec2;
-use rayon::prelude::*;
-use thiserror::Error;
-
-/// The K largest contributors of every pixel of a view, with what is known of the Gaussians there.
-#[derive(Clone, Copy, Debug)]
-pub struct Footprints<'a> {
-    /// K.
-    pub count: usize,
-    /// (H, W, K) Gaussian indices, negative = empty.
-    pub indices: &'a [i32],
-    /// (H, W, K) weights `alpha T`.
-    pub weights: &'a [f32],
-    /// Pixels that count.
-    pub mask: &'a Mask,
-    /// (N) projections at t-1 (px).
-    pub projected: &'a [DVec2],
-}
-
-/// What the trackers of one view say of every Gaussian.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Association {
-    /// (L, N) weights: sums of `alpha T * confidence * max(|flow|, floor)`.
-    pub weights: Vec<f64>,
-    /// (L, N) projections displaced by the mean flow under the footprint (px).
-    pub targets: Vec<DVec2>,
-    /// (N) sums of `alpha T` over the masked pixels.
-    pub coverage: Vec<f64>,
-}
-
-/// Why a view cannot be associated.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum AssociationError {
-    /// A list does not hold one entry per pixel and contributor.
-    #[error("{column} holds {found} entries, expected {expected}")]
-    Column {
-        /// Name of the list.
-        column: &'static str,
-        /// Entries found.
-        found: usize,
-        /// Entries expected.
-        expected: usize,
-    },
-    /// A motion field has another size than the mask.
-    #[error("sizes differ: mask {mask:?}, flow {flow:?}")]
-    Size {
-        /// Size of the mask.
-        mask: ImageSize,
-        /// Size of the field.
-        flow: ImageSize,
-    },
-    /// A contributor is no Gaussian.
-    #[error("contributor {index} is not one of {gaussians} Gaussians")]
-    Index {
-        /// The index.
-        index: i32,
-        /// Number of Gaussians N.
-        gaussians: usize,
-    },
-}
-
-/// Sums the flow of every tracker under the footprint of every Gaussian, in f64 and in the order of the pixels.
-/// A Gaussian without coverage stays where it was, with weight 0. `flow_floor` (px) is the least flow magnitude in
-/// the weights; 0 = Algorithm 1, read literally.
-///
-/// # Errors
-/// [`AssociationError`] when sizes do not fit together.
-pub fn associate(
-    footprints: &Footprints,
-    flows: &[DenseMotion],
-    flow_floor: f64,
-) -> Result<Association, AssociationError> {
-    footprints.check(flows)?;
-    let n = footprints.projected.len();
-    let mut coverage = vec![0.0; n];
-    footprints.for_each(|_, gaussian, weight| coverage[gaussian] += weight);
-    let sums: Vec<_> = flows.par_iter().map(|flow| footprints.gather(flow, flow_floor)).collect();
-    let mut out = Association { coverage, ..Association::default() };
-    for (weights, moved) in sums {
-        out.weights.extend(weights);
-        out.targets.extend((0..n).map(|i| {
-            let covered = out.coverage[i] > 0.0;
-            footprints.projected[i] + if covered { moved[i] / out.coverage[i] } else { DVec2::ZERO }
-        }));
-    }
-    Ok(out)
-}
-
-impl Footprints<'_> {
-    fn check(&self, flows: &[DenseMotion]) -> Result<(), AssociationError> {
-        let size = self.mask.size();
-        let expected = size.pixels() * self.count;
-        for (column, found) in [("indices", self.indices.len()), ("weights", self.weights.len())] {
-            if found != expected {
-                return Err(AssociationError::Column { column, found, expected });
-            }
-        }
-        if let Some(other) = flows.iter().find(|f| f.size != size) {
-            return Err(AssociationError::Size { mask: size, flow: other.size });
-        }
-        let gaussians = self.projected.len();
-        match self.indices.iter().find(|&&i| i >= 0 && i as usize >= gaussians) {
-            Some(&index) => Err(AssociationError::Index { index, gaussians }),
-            None => Ok(()),
-        }
-    }
-
-    /// Pixel, Gaussian and weight of every contribution in the mask.
-    fn for_each(&self, mut visit: impl FnMut(usize, usize, f64)) {
-        for pixel in (0..self.mask.size().pixels()).filter(|&p| self.mask.data()[p] != 0) {
-            for entry in pixel * self.count..(pixel + 1) * self.count {
-                if let Ok(gaussian) = usize::try_from(self.indices[entry]) {
-                    visit(pixel, gaussian, f64::from(self.weights[entry]));
-                }
-            }
-        }
-    }
-
-    /// Weights, and sums of flow, of one tracker.
-    fn gather(&self, motion: &DenseMotion, floor: f64) -> (Vec<f64>, Vec<DVec2>) {
-        let n = self.projected.len();
-        let (mut weights, mut moved) = (vec![0.0; n], vec![DVec2::ZERO; n]);
-        self.for_each(|pixel, gaussian, weight| {
-            let [x, y] = motion.flow[pixel];
-            let flow = DVec2::new(x.into(), y.into());
-            weights[gaussian] += weight * f64::from(motion.confidence[pixel]) * flow.length().max(floor);
-            moved[gaussian] += weight * flow;
-        });
-        (weights, moved)
-    }
-}
 
 pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     let flows = motions(input)?;
@@ -150,8 +21,8 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     let floor = input.number("flow_floor")?;
     ensure!(floor >= 0.0, input.fault("flow_floor", "must not be negative"));
     let (indices, weights, projected) = (&indices.data, &weights.data, &projected);
-    let footprints = Footprints { count, indices, weights, mask: &mask, projected };
-    let out = associate(&footprints, &flows, floor).map_err(|e| input.fault("top_indices", e))?;
+    let lists = ContributorLists { count, indices, weights, mask: &mask, projected };
+    let out = associate_lists(&lists, &flows, floor).map_err(|e| input.fault("top_indices", e))?;
     let (l, n) = (flows.len(), projected.len());
     let targets: Vec<f64> = out.targets.iter().flat_map(DVec2::to_array).collect();
     let mut results = NpzWriter::new();

@@ -4,7 +4,7 @@
 
 mod agreement;
 mod associate;
-pub mod contributors;
+mod contributors;
 mod fuse;
 mod input;
 mod rasterize;

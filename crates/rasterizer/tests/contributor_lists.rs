@@ -1,10 +1,9 @@
-//! Association while blending against the stage on lists of contributors, which the reference cases check.
+//! Association while blending against that on lists of contributors, which the reference cases check.
 
 use ffgs_core::{Camera, DenseMotion, Gaussians, ImageSize, Intrinsics, Mask};
-use ffgs_pipeline::commands::stage::contributors::{Footprints, associate};
 use ffgs_rasterizer::{
-    Association, AssociationScene, AssociationScratch, Background, CpuRasterizer, Observed, RenderOptions,
-    RenderTape, View,
+    Association, AssociationScene, AssociationScratch, Background, ContributorLists, CpuRasterizer, Observed,
+    RenderOptions, RenderTape, View, associate_lists,
 };
 use glam::{DMat4, DVec2, DVec3};
 
@@ -50,8 +49,8 @@ fn the_heaviest_contributors_are_those_of_the_lists() {
     let top = rasterizer.top_contributors(&gaussians, &view, CONTRIBUTORS, &mut RenderTape::default());
     let projected: Vec<DVec2> = means.iter().map(|&m| camera.project(m).unwrap().pixel).collect();
     let (indices, weights, count) = (&top.indices, &top.weights, top.count);
-    let footprints = Footprints { count, indices, weights, mask: &mask, projected: &projected };
-    let expected = associate(&footprints, &fields, 0.25).unwrap();
+    let lists = ContributorLists { count, indices, weights, mask: &mask, projected: &projected };
+    let expected = associate_lists(&lists, &fields, 0.25).unwrap();
 
     let n = means.len();
     let (mut targets, mut weights) = (vec![DVec2::ZERO; 2 * n], vec![0.0; 2 * n]);
