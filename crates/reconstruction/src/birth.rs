@@ -28,7 +28,7 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<()> {
         let start = Instant::now();
-        let report = self.monitor.begin("birth", self.config.birth.iterations);
+        let report = self.monitor.begin(stage::BIRTH, self.config.birth.iterations);
         let seed = self.seed(frame);
         let born = add_newborn(self.devices, &self.config, scene, views, seed, &mut |p| report(p))?;
         if born > 0 {

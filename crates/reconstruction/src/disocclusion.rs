@@ -63,7 +63,7 @@ impl Reconstructor<'_> {
         if !frame.is_multiple_of(config.every) {
             return Ok(());
         }
-        let report = self.monitor.begin("disocclusion", config.iterations);
+        let report = self.monitor.begin(stage::DISOCCLUSION, config.iterations);
         let hidden = |scene: &Scene| scene.hidden.iter().any(|&rounds| rounds > 0);
         if config.iterations > 0 && hidden(&state.scene) {
             let count = self.train_open(frame, state, views, &mut |p| report(p))?;

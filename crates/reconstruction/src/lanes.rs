@@ -4,9 +4,7 @@ use crate::knowledge::{self, Predicted};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
-use ffgs_trainer::{
-    DynamicLaneConfig, Prior, Progress, ResolutionConfig, StaticColours, StaticTargets, Surroundings,
-};
+use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, StaticColours, StaticTargets, Surroundings};
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -39,37 +37,27 @@ impl Reconstructor<'_> {
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let [moving, standing] =
             [&dynamic.gaussians, &static_start].map(|layer| self.as_fine_as(layer, views));
-        let parts = parts(config.resolution, dynamic_lane, moving.factor);
-        let show_dynamic = self.monitor.begin("dynamic", dynamic_lane.iterations);
-        let show_static = self.monitor.begin("static", config.background.static_passes());
-        let timed = |work: &mut (dyn FnMut() -> Result<()> + Send)| {
-            let start = Instant::now();
-            work().map(|()| start.elapsed().as_secs_f64())
-        };
+        let [reduced, _] = config.resolution.steps(dynamic_lane.iterations, moving.factor);
+        let [on_reduced, on_whole] = dynamic_lane.cut(reduced);
+        let show_dynamic = self.monitor.begin(stage::DYNAMIC, dynamic_lane.iterations);
+        let show_static = self.monitor.begin(stage::STATIC, config.background.static_passes());
         let background = &config.background;
-        let (dynamic_s, static_s, sky_s) = devices.together(
-            || {
-                timed(&mut || {
-                    let layer = &mut dynamic.gaussians;
-                    let report = &mut |p| show_dynamic(p);
-                    devices.dynamic(&parts[0], &moving.views, around, layer, seed, report)?;
-                    let before = parts[0].iterations;
-                    let report = &mut |p| show_dynamic(after(before, p));
-                    let around = Surroundings { prior: prior.map(|p| p.finer(moving.factor)), ..around };
-                    devices.dynamic(&parts[1], views, around, layer, seed, report)
-                })
-            },
-            || {
-                timed(&mut || {
-                    let targets = StaticTargets { views: &standing.views, sky: &sky_start };
-                    let report = &mut |p| show_static(p);
-                    let colours =
-                        StaticColours { layer: &mut *static_layer, variances: &mut *static_colours };
-                    devices.static_layer(static_lane, background, targets, colours, seed, report)
-                })
-            },
-            || timed(&mut || devices.sky(background, &standing.views, &static_start, sky, seed)),
-        );
+        let train_dynamic = || {
+            let layer = &mut dynamic.gaussians;
+            let report = &mut |p| show_dynamic(p);
+            devices.dynamic(&on_reduced, &moving.views, around, layer, seed, report)?;
+            let report = &mut |p| show_dynamic(after(on_reduced.iterations, p));
+            let around = Surroundings { prior: prior.map(|p| p.finer(moving.factor)), ..around };
+            devices.dynamic(&on_whole, views, around, layer, seed, report)
+        };
+        let train_static = || {
+            let targets = StaticTargets { views: &standing.views, sky: &sky_start };
+            let colours = StaticColours { layer: static_layer, variances: static_colours };
+            devices.static_layer(static_lane, background, targets, colours, seed, &mut |p| show_static(p))
+        };
+        let train_sky = || devices.sky(background, &standing.views, &static_start, sky, seed);
+        let (dynamic_s, static_s, sky_s) =
+            devices.together(|| timed(train_dynamic), || timed(train_static), || timed(train_sky));
         log.add_seconds(stage::DYNAMIC, dynamic_s?);
         log.add_seconds(stage::STATIC, static_s?);
         log.add_seconds(stage::SKY, sky_s?);
@@ -103,13 +91,13 @@ struct Reduced<'v> {
     views: Cow<'v, [TrainingView]>,
 }
 
-/// The steps on photographs reduced by `factor`, and those on whole ones.
-fn parts(resolution: ResolutionConfig, lane: &DynamicLaneConfig, factor: usize) -> [DynamicLaneConfig; 2] {
-    let [reduced, _] = resolution.steps(lane.iterations, factor);
-    lane.parts(reduced)
+/// Seconds that it takes.
+fn timed(work: impl FnOnce() -> Result<()>) -> Result<f64> {
+    let start = Instant::now();
+    work().map(|()| start.elapsed().as_secs_f64())
 }
 
-/// The progress of a part that comes after so many steps.
-fn after(steps: usize, part: Progress) -> Progress {
-    Progress { iteration: part.iteration + steps, iterations: part.iterations + steps, ..part }
+/// The progress of a training that goes on after so many steps.
+fn after(steps: usize, rest: Progress) -> Progress {
+    Progress { iteration: rest.iteration + steps, iterations: rest.iterations + steps, ..rest }
 }

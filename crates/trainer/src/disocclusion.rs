@@ -8,8 +8,8 @@
 use crate::adam::LearningRates;
 use crate::backend::TrainBackend;
 use crate::dynamic_lane::robust_extent;
-use crate::part::{Part, shown, train_part};
 use crate::schedule::{Schedule, decay};
+use crate::subset::{Subset, shown, train_subset};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
 use rayon::prelude::*;
@@ -109,8 +109,8 @@ pub fn train_disoccluded<B: TrainBackend>(
         rates: &|iteration| config.rates(iteration, extent),
         ..Schedule::default()
     };
-    let part = Part { fixed, trained: found, views: what.views, regions, sky: what.sky };
-    let Some(trained) = train_part(backend, &schedule, part, seed, report)? else { return Ok(false) };
+    let subset = Subset { fixed, trained: found, views: what.views, regions, sky: what.sky };
+    let Some(trained) = train_subset(backend, &schedule, subset, seed, report)? else { return Ok(false) };
     let layer = Arc::make_mut(layer);
     for (from, &to) in what.gaussians.iter().enumerate() {
         layer.set_from(to, &trained, from);

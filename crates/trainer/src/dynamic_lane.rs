@@ -67,9 +67,9 @@ impl Default for DynamicLaneConfig {
 }
 
 impl DynamicLaneConfig {
-    /// The same schedule in two parts: its first steps, so many, and those that are left.
+    /// The same schedule cut in two: its `first` steps, and those that are left.
     #[must_use]
-    pub fn parts(&self, first: usize) -> [Self; 2] {
+    pub fn cut(&self, first: usize) -> [Self; 2] {
         let first = first.min(self.iterations);
         if first == 0 {
             return [Self { iterations: 0, ..*self }, *self];
@@ -176,13 +176,13 @@ mod tests {
     #[test]
     fn two_parts_have_the_rates_of_the_whole() {
         let whole = DynamicLaneConfig::default();
-        let [first, second] = whole.parts(270);
+        let [first, second] = whole.cut(270);
         assert_eq!([first.iterations, second.iterations], [270, 30]);
         for step in [0, 100, 269, 270, 299] {
             let expected = whole.rates(step, 2.0).means;
             let part = if step < 270 { first.rates(step, 2.0) } else { second.rates(step - 270, 2.0) };
             assert!((part.means / expected - 1.0).abs() < 1e-4, "step {step}: {} {expected}", part.means);
         }
-        assert_eq!(whole.parts(0)[1], whole, "undivided, to the last bit");
+        assert_eq!(whole.cut(0)[1], whole, "undivided, to the last bit");
     }
 }

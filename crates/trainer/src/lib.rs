@@ -17,13 +17,13 @@ mod gain;
 mod initialise;
 mod layer_lane;
 mod loss;
-mod part;
 mod prior;
 mod resolution;
 mod schedule;
 mod sky;
 mod sky_lane;
 mod static_lane;
+mod subset;
 mod view;
 
 pub use adam::{Adam, AdamVec, Columns, LearningRates, Update, bias_corrections};

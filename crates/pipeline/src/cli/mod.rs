@@ -63,7 +63,7 @@ pub enum Command {
     /// List the GPUs, their limits and what each would be used as
     Devices,
     /// Print the configuration, every key with its meaning
-    Config(crate::commands::config_text::ConfigArgs),
+    Config(crate::commands::config::ConfigArgs),
     /// Run one stage on numpy arrays
     Stage(StageArgs),
 }
@@ -82,7 +82,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
                 crate::commands::check::check_capture(&args.capture, ImageCheck::Decode, args.log.quiet)?;
             terminal::print(check.to_string().trim_end());
             if let Some(folder) = &args.pictures {
-                let count = crate::commands::check::check_pictures::write(&args.capture, folder)?;
+                let count = crate::commands::check::pictures::write(&args.capture, folder)?;
                 terminal::print(format!("{count} pictures in {}", folder.display()));
             }
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
@@ -129,7 +129,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Methods => terminal::print(METHODS.table().trim_end()),
         Command::Formats => terminal::print(registry::formats().trim_end()),
         Command::Devices => device::list(),
-        Command::Config(args) => crate::commands::config_text::print(&args)?,
+        Command::Config(args) => crate::commands::config::print(&args)?,
         Command::Stage(args) => {
             args.log.start();
             let form = if args.literal { stage::Form::Literal } else { stage::Form::Run };

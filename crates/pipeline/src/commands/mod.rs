@@ -1,7 +1,7 @@
 //! The commands but `run`: a file each, or a folder.
 
 pub(crate) mod check;
-pub(crate) mod config_text;
+pub(crate) mod config;
 pub mod eval;
 pub(crate) mod export;
 pub(crate) mod prepare;

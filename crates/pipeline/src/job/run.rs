@@ -23,7 +23,7 @@ use crate::outputs::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnail
 use crate::outputs::state;
 use crate::outputs::turntable::write_turntable;
 use crate::plugins::choice::MethodChoice;
-use crate::plugins::method::Parts;
+use crate::plugins::method::MethodContext;
 use crate::plugins::registry::open_capture;
 use crate::settings::config::Config;
 use anyhow::{Context, Result, bail};
@@ -110,11 +110,11 @@ impl<'a> Job<'a> {
         require_start(request, &folder, frames.start)?;
         let gpus = request.device.open()?;
         // A method that cannot be made leaves the output folder untouched.
-        let parts = Parts { config: &request.config, tracks: &tracks, gpu: gpus.first() };
+        let context = MethodContext { config: &request.config, tracks: &tracks, gpu: gpus.first() };
         let method = match &request.method {
-            Some(method) => method.build(&parts).map(|_| method.clone())?,
-            None if frames.len() == 1 => MethodChoice::suitable(&parts)?,
-            None => MethodChoice::default().build(&parts).map(|_| MethodChoice::default())?,
+            Some(method) => method.build(&context).map(|_| method.clone())?,
+            None if frames.len() == 1 => MethodChoice::suitable(&context)?,
+            None => MethodChoice::default().build(&context).map(|_| MethodChoice::default())?,
         };
         let by_lanes = method == MethodChoice::default() && frames.len() > 1;
         memory_need::require(request, &*capture, &views, by_lanes)?;
@@ -135,14 +135,14 @@ impl<'a> Job<'a> {
     }
 
     fn reconstructor<'s>(&'s self, console: &'s Console) -> Result<Reconstructor<'s>> {
-        let parts = Parts { config: self.config(), tracks: &self.tracks, gpu: self.gpus.first() };
+        let context = MethodContext { config: self.config(), tracks: &self.tracks, gpu: self.gpus.first() };
         Ok(Reconstructor {
             config: self.config().reconstruction(),
             devices: self.devices(),
             capture: &*self.capture,
             views: &self.views,
             tracks: &self.tracks,
-            method: self.manifest.method.build(&parts)?,
+            method: self.manifest.method.build(&context)?,
             method_name: self.manifest.method.to_string(),
             monitor: console,
         })

@@ -1,6 +1,6 @@
 //! The choice of a method: `--method NAME` or `--method NAME:ARGUMENT`.
 
-use crate::plugins::method::{Method, Parts};
+use crate::plugins::method::{Method, MethodContext};
 use crate::plugins::registry::METHODS;
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, TypedValueParser};
@@ -24,8 +24,8 @@ impl MethodChoice {
     ///
     /// # Errors
     /// When the argument is not one of it.
-    pub fn build<'a>(&self, parts: &Parts<'a>) -> Result<Box<dyn MotionMethod + 'a>> {
-        (METHODS.find(&self.name)?.build)(parts, &self.argument).with_context(|| format!("--method {self}"))
+    pub fn build<'a>(&self, context: &MethodContext<'a>) -> Result<Box<dyn MotionMethod + 'a>> {
+        (METHODS.find(&self.name)?.build)(context, &self.argument).with_context(|| format!("--method {self}"))
     }
 
     /// For a single frame, in which nothing moves, when none is named: the first method of the registry that has all that
@@ -33,10 +33,10 @@ impl MethodChoice {
     ///
     /// # Errors
     /// When there is no such method.
-    pub(crate) fn suitable(parts: &Parts) -> Result<Self> {
+    pub(crate) fn suitable(context: &MethodContext) -> Result<Self> {
         let plain = METHODS.items.iter().filter(|method| !method.usage.contains(':'));
         let named = |method: &Method| Self { name: method.name().to_owned(), argument: String::new() };
-        let found = plain.map(|method| named(method)).find(|choice| choice.build(parts).is_ok());
+        let found = plain.map(|method| named(method)).find(|choice| choice.build(context).is_ok());
         found.context("no method can be made for this capture")
     }
 }
@@ -112,10 +112,10 @@ mod tests {
     #[test]
     fn without_trackers_the_method_that_needs_none_is_taken() {
         let config = Config::default();
-        let parts = Parts { config: &config, tracks: &[], gpu: None };
-        assert_eq!(MethodChoice::suitable(&parts).unwrap().to_string(), "none");
+        let context = MethodContext { config: &config, tracks: &[], gpu: None };
+        assert_eq!(MethodChoice::suitable(&context).unwrap().to_string(), "none");
         assert!(
-            MethodChoice::default().build(&parts).is_err(),
+            MethodChoice::default().build(&context).is_err(),
             "who asks for trackers is told that there are none"
         );
     }

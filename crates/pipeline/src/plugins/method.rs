@@ -7,7 +7,7 @@ use ffgs_rasterizer_gpu::SceneDevice;
 
 /// What methods are built from.
 #[derive(Clone, Copy)]
-pub struct Parts<'a> {
+pub struct MethodContext<'a> {
     /// Every setting.
     pub config: &'a Config,
     /// The capture's trackers.
@@ -16,8 +16,8 @@ pub struct Parts<'a> {
     pub gpu: Option<&'a SceneDevice>,
 }
 
-/// Makes a method from its parts and argument (empty for one that takes none).
-type Build = for<'a> fn(&Parts<'a>, &str) -> Result<Box<dyn MotionMethod + 'a>>;
+/// Makes a method from its context and argument (empty for one that takes none).
+type Build = for<'a> fn(&MethodContext<'a>, &str) -> Result<Box<dyn MotionMethod + 'a>>;
 
 /// A registered method.
 pub struct Method {

@@ -1,6 +1,6 @@
 //! The methods that move the scene, as they are registered.
 
-use crate::plugins::method::{Method, Parts};
+use crate::plugins::method::{Method, MethodContext};
 use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
 use ffgs_methods::{Dynamic3dgs, Queen, Trackersplat, TrainLayer, hicom, recongs};
@@ -37,7 +37,7 @@ pub(crate) const HICOM: Method = Method {
     usage: "hicom",
     former: None,
     summary: "grids of cubes that move all Gaussians, then Gaussians added (HiCoM, 2024)",
-    build: |parts, _| Ok(trained_here(parts, hicom(parts.config.method.hicom))),
+    build: |context, _| Ok(trained_here(context, hicom(context.config.method.hicom))),
 };
 
 /// Dynamic 3D Gaussians.
@@ -45,7 +45,7 @@ pub(crate) const DYNAMIC3DGS: Method = Method {
     usage: "dynamic3dgs",
     former: None,
     summary: "the last velocities, then training with rigid neighbours (Dynamic 3D Gaussians, 2024)",
-    build: |parts, _| Ok(trained_here(parts, Dynamic3dgs::new(parts.config.method.dynamic3dgs))),
+    build: |context, _| Ok(trained_here(context, Dynamic3dgs::new(context.config.method.dynamic3dgs))),
 };
 
 /// QUEEN.
@@ -53,7 +53,7 @@ pub(crate) const QUEEN: Method = Method {
     usage: "queen",
     former: None,
     summary: "gated displacements and integers that decode to residuals, trained and coded (QUEEN, 2024)",
-    build: |parts, _| Ok(trained_here(parts, Queen::new(parts.config.method.queen))),
+    build: |context, _| Ok(trained_here(context, Queen::new(context.config.method.queen))),
 };
 
 /// ReCon-GS.
@@ -61,7 +61,7 @@ pub(crate) const RECONGS: Method = Method {
     usage: "recongs",
     former: None,
     summary: "anchors that move all Gaussians, then Gaussians added (ReCon-GS, 2025)",
-    build: |parts, _| Ok(trained_here(parts, recongs(parts.config.method.recongs))),
+    build: |context, _| Ok(trained_here(context, recongs(context.config.method.recongs))),
 };
 
 /// TrackerSplat.
@@ -72,13 +72,13 @@ pub(crate) const TRACKERSPLAT: Method = Method {
     build: trackersplat,
 };
 
-fn trackersplat<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
-    if parts.tracks.is_empty() {
+fn trackersplat<'a>(context: &MethodContext<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    if context.tracks.is_empty() {
         bail!(
             "the capture has no trackers (tracks/tracks.json), and TrackerSplat moves Gaussians by tracks; add one"
         );
     }
-    let gpu = parts.gpu;
+    let gpu = context.gpu;
     let train: Box<TrainLayer> = Box::new(move |task, schedule, seed| {
         match gpu {
             None => train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?,
@@ -86,13 +86,13 @@ fn trackersplat<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod +
         }
         Ok(())
     });
-    let config = parts.config.method.trackersplat;
-    Ok(Box::new(Trackersplat { config, voronoi: parts.config.voronoi, train }))
+    let config = context.config.method.trackersplat;
+    Ok(Box::new(Trackersplat { config, voronoi: context.config.voronoi, train }))
 }
 
 /// A method that trains every Gaussian in its own way, on the CPU.
-fn trained_here<'a>(parts: &Parts, method: impl MotionMethod + 'a) -> Box<dyn MotionMethod + 'a> {
-    if parts.gpu.is_some() {
+fn trained_here<'a>(context: &MethodContext, method: impl MotionMethod + 'a) -> Box<dyn MotionMethod + 'a> {
+    if context.gpu.is_some() {
         tracing::info!(
             "this method trains on the CPU; the first frame and the scores are computed on the GPU"
         );
@@ -100,24 +100,24 @@ fn trained_here<'a>(parts: &Parts, method: impl MotionMethod + 'a) -> Box<dyn Mo
     Box::new(method)
 }
 
-fn moved_by<'a>(parts: &Parts<'a>, only: Option<String>) -> Box<dyn MotionMethod + 'a> {
-    Box::new(TrackerMotion { config: parts.config.motion(), only, gpu: parts.gpu })
+fn moved_by<'a>(context: &MethodContext<'a>, only: Option<String>) -> Box<dyn MotionMethod + 'a> {
+    Box::new(TrackerMotion { config: context.config.motion(), only, gpu: context.gpu })
 }
 
-fn all_trackers<'a>(parts: &Parts<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
-    if parts.tracks.is_empty() {
+fn all_trackers<'a>(context: &MethodContext<'a>, _: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    if context.tracks.is_empty() {
         bail!(
             "the capture has no trackers (tracks/tracks.json), so nothing says how things move; `ffgs prepare` \
              makes some, --method none starts each frame where the last one ended"
         );
     }
-    Ok(moved_by(parts, None))
+    Ok(moved_by(context, None))
 }
 
-fn one_tracker<'a>(parts: &Parts<'a>, name: &str) -> Result<Box<dyn MotionMethod + 'a>> {
-    let known: Vec<&str> = parts.tracks.iter().map(|source| source.name()).collect();
+fn one_tracker<'a>(context: &MethodContext<'a>, name: &str) -> Result<Box<dyn MotionMethod + 'a>> {
+    let known: Vec<&str> = context.tracks.iter().map(|source| source.name()).collect();
     if !known.contains(&name) {
         bail!("there is no tracker '{name}'; tracks/tracks.json names: {}", known.join(", "));
     }
-    Ok(moved_by(parts, Some(name.to_owned())))
+    Ok(moved_by(context, Some(name.to_owned())))
 }

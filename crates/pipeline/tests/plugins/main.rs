@@ -7,7 +7,7 @@ use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::ImageSize;
 use ffgs_method::{Plugin, Registry};
-use ffgs_pipeline::plugins::method::{Method, Parts};
+use ffgs_pipeline::plugins::method::{Method, MethodContext};
 use ffgs_pipeline::plugins::registry::{CAPTURES, METHODS};
 use ffgs_pipeline::settings::config::Config;
 use ffgs_testkit::conformance::{Sample, capture_format, motion_method, splat_writer, track_format};
@@ -24,7 +24,7 @@ fn conforms(method: &Method, config: &'static Config) {
     // The name of the tracker of the suite's world.
     let argument = if method.usage.contains(':') { "exact" } else { "" };
     motion_method(method.name(), &|tracks| {
-        (method.build)(&Parts { config, tracks, gpu: None }, argument).unwrap()
+        (method.build)(&MethodContext { config, tracks, gpu: None }, argument).unwrap()
     });
 }
 

@@ -8,8 +8,8 @@ pub use unexplained::unexplained;
 use crate::adam::LearningRates;
 use crate::backend::TrainBackend;
 use crate::dynamic_lane::robust_extent;
-use crate::part::{Part, shown, train_part};
 use crate::schedule::{Schedule, decay};
+use crate::subset::{Subset, shown, train_subset};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, Scene, TrainingView};
 use rayon::prelude::*;
@@ -94,7 +94,7 @@ pub fn train_newborn<B: TrainBackend>(
         Mask::new(unexplained.size(), data).expect("one value per pixel")
     };
     let regions = newborn.views.par_iter().zip(newborn.unexplained).map(region).collect();
-    let part = Part {
+    let subset = Subset {
         fixed: scene.joint(),
         trained: newborn.gaussians,
         views: newborn.views,
@@ -107,5 +107,5 @@ pub fn train_newborn<B: TrainBackend>(
         dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
     };
-    train_part(backend, &schedule, part, seed, report)
+    train_subset(backend, &schedule, subset, seed, report)
 }

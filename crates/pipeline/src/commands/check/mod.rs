@@ -1,7 +1,7 @@
 //! What a capture holds and what is wrong with it: images, masks and points (`dataset`), and the trackers' files
 //! (`tracks`). `ffgs check` prints it, and a run starts with it.
 
-pub(crate) mod check_pictures;
+pub(crate) mod pictures;
 
 use crate::plugins::registry::open_capture;
 use anyhow::Result;

@@ -17,7 +17,7 @@ const LEAST_PIXELS: usize = 16;
 const REUSE_AT: f32 = 0.4;
 
 /// What is trained, what is drawn with it, and what both are compared with.
-pub(crate) struct Part<'a> {
+pub(crate) struct Subset<'a> {
     /// These stay.
     pub fixed: Gaussians,
     /// These are trained.
@@ -30,33 +30,33 @@ pub(crate) struct Part<'a> {
     pub sky: &'a SkyCube,
 }
 
-/// Trains a part; `None` when too few pixels count.
+/// Trains them; `None` when too few pixels count.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
-pub(crate) fn train_part<B: TrainBackend>(
+pub(crate) fn train_subset<B: TrainBackend>(
     backend: &B,
     schedule: &Schedule,
-    part: Part,
+    subset: Subset,
     seed: u64,
     report: &mut dyn FnMut(Progress),
 ) -> Result<Option<Gaussians>, B::Error> {
     let used: Vec<usize> =
-        (0..part.regions.len()).filter(|&v| part.regions[v].count() >= LEAST_PIXELS).collect();
+        (0..subset.regions.len()).filter(|&v| subset.regions[v].count() >= LEAST_PIXELS).collect();
     if used.is_empty() {
         return Ok(None);
     }
-    let extent = robust_extent(&part.trained);
-    let fixed = part.fixed.len();
-    let mut all = part.fixed;
-    all.extend(&part.trained);
+    let extent = robust_extent(&subset.trained);
+    let fixed = subset.fixed.len();
+    let mut all = subset.fixed;
+    all.extend(&subset.trained);
     let mut all = Arc::new(all);
     let task = |&v: &usize| TaskView {
-        view: &part.views[v],
-        tiles: Some(TileMask::covering(&part.regions[v])),
-        region: Some(part.regions[v].clone()),
+        view: &subset.views[v],
+        tiles: Some(TileMask::covering(&subset.regions[v])),
+        region: Some(subset.regions[v].clone()),
     };
-    let task = LayerTask::new(&mut all, used.iter().map(task).collect(), Around::Sky(part.sky));
+    let task = LayerTask::new(&mut all, used.iter().map(task).collect(), Around::Sky(subset.sky));
     let mut training = backend.upload_layer(LayerTask { fixed, sums_gradients: true, ..task })?;
     let mut density = DensityControl::new(DensityConfig::default(), seed);
     let reuse_at = (REUSE_AT * schedule.iterations as f32) as usize;
