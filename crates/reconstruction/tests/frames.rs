@@ -1,0 +1,85 @@
+//! The sequence of frames on a capture in memory: no file, no program, only the reconstructor and a method.
+
+use ffgs_core::{StageLog, stage};
+use ffgs_method::{Split, TrackSource, ViewAt};
+use ffgs_motion::{MotionConfig, TrackerMotion};
+use ffgs_reconstruction::{
+    Devices, Earlier, Exposures, FirstViews, ReconstructionConfig, Reconstructor, Silent, State,
+};
+use ffgs_testkit::conformance::World;
+use glam::DVec3;
+
+const COUNT: usize = 120;
+/// Part of the way that a Gaussian may be off: under a footprint the motion is a mean over depths.
+const TOLERANCE: f64 = 0.2;
+const VIEWS: [usize; 4] = [0, 1, 2, 3];
+
+/// The photographs of the world are grey: everything is measured by the trackers, nothing is trained.
+fn untrained() -> ReconstructionConfig {
+    let mut config = ReconstructionConfig::default();
+    config.dynamic.iterations = 0;
+    config.birth.iterations = 0;
+    config.background.static_iterations = 0;
+    config.background.sky_iterations = 0;
+    config
+}
+
+fn reconstructor<'a>(world: &'a World, tracks: &'a [Box<dyn TrackSource>]) -> Reconstructor<'a> {
+    Reconstructor {
+        config: untrained(),
+        devices: Devices(&[]),
+        capture: world,
+        views: &VIEWS,
+        tracks,
+        method: Box::new(TrackerMotion { config: MotionConfig::default(), only: None, gpu: None }),
+        method_name: "trackers".to_owned(),
+        monitor: &Silent,
+    }
+}
+
+/// The world's own first frame.
+fn first(reconstructor: &mut Reconstructor, world: &World) -> State {
+    let shots = VIEWS.map(|view| ViewAt { split: Split::Train, view, frame: 0 }).to_vec();
+    let photographs = FirstViews { shots, views: world.training(0) };
+    let scene = world.scene(&(0..COUNT).collect::<Vec<_>>());
+    let earlier = Earlier { scene, exposures: Exposures::default(), split_again: false, finetune: None };
+    reconstructor.first_frame(0, photographs, Some(earlier), &mut StageLog::default()).unwrap()
+}
+
+#[test]
+fn each_frame_starts_from_the_state_of_the_one_before() {
+    let world = World::new(COUNT, DVec3::new(0.03, 0.0, 0.01));
+    let tracks = [world.tracker()];
+    let mut reconstructor = reconstructor(&world, &tracks);
+    let mut state = first(&mut reconstructor, &world);
+    for frame in 1..=2 {
+        let (mut log, mut asked) = (StageLog::default(), Vec::new());
+        let mut predicted = |step: &ffgs_method::Step, scene: &ffgs_core::Scene| {
+            asked.push((step.frame, scene.dynamic.gaussians.len()));
+            Ok(())
+        };
+        let now = world.training(frame);
+        state = reconstructor.later_frame(frame, state, now, &mut log, &mut predicted).unwrap();
+        assert_eq!(asked, [(frame, COUNT)], "asked once, before the training");
+        for (id, place) in state.scene.dynamic.ids.iter().zip(state.scene.dynamic.gaussians.positions()) {
+            let truth = world.places[*id as usize] + frame as f64 * world.step;
+            let error = place.distance(truth) / (frame as f64 * world.step.length());
+            assert!(error < TOLERANCE, "frame {frame}, Gaussian {id}: {error} of the way");
+        }
+        for name in [stage::FUSION, stage::GROWTH, stage::BIRTH, stage::DYNAMIC, stage::INFORMATION] {
+            assert!(log.seconds.contains_key(name), "{name}: {:?}", log.seconds.keys());
+        }
+    }
+    assert_eq!(state.scene.dynamic.ids.len(), COUNT);
+}
+
+#[test]
+fn an_error_of_the_caller_ends_the_frame() {
+    let world = World::new(COUNT, DVec3::ZERO);
+    let tracks = [world.tracker()];
+    let mut reconstructor = reconstructor(&world, &tracks);
+    let state = first(&mut reconstructor, &world);
+    let mut fails = |_: &ffgs_method::Step, _: &ffgs_core::Scene| anyhow::bail!("the disk is full");
+    let ended = reconstructor.later_frame(1, state, world.training(1), &mut StageLog::default(), &mut fails);
+    assert_eq!(ended.err().unwrap().to_string(), "the disk is full");
+}
