@@ -1,7 +1,7 @@
 //! The visual hull: the voxels that nearly all masks contain.
 
 use ffgs_core::{Camera, Mask};
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 /// Voxels along the longest side of the box.
@@ -32,6 +32,8 @@ pub(crate) struct Hull {
     pub views: Vec<u16>,
     /// Side of a voxel (m).
     pub side: f64,
+    /// Centre of voxel (0, 0, 0).
+    origin: DVec3,
 }
 
 /// Voxels of the region that at least `least_views` cameras see and nearly all of those hold for foreground. The
@@ -58,7 +60,7 @@ fn carve(silhouettes: &[Silhouette], Region { low, high }: Region, least_views: 
     };
     let slabs: Vec<Vec<(DVec3, u16)>> = (0..counts.z).into_par_iter().map(slab).collect();
     let (centres, views) = slabs.into_iter().flatten().unzip();
-    Hull { centres, views, side }
+    Hull { centres, views, side, origin: low + 0.5 * side }
 }
 
 fn grown(s: &Silhouette, side: f64, middle: DVec3) -> Silhouette {
@@ -86,6 +88,11 @@ fn bounds(hull: &Hull) -> Option<Region> {
 }
 
 impl Hull {
+    /// The voxel of a point, occupied or not.
+    pub(crate) fn voxel(&self, point: DVec3) -> IVec3 {
+        ((point - self.origin) / self.side).round().as_ivec3()
+    }
+
     /// The silhouette, in a camera, of the voxels that at least `least_views` see.
     pub(crate) fn seen_by(&self, camera: &Camera, least_views: u16) -> Mask {
         let size = camera.size();

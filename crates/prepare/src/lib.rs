@@ -7,6 +7,7 @@ mod camera_lists;
 mod conversion;
 mod error;
 mod extraction;
+mod foreground;
 mod hull;
 mod in_place;
 mod journal;
@@ -27,6 +28,7 @@ mod timing;
 mod tracker_list;
 mod tracking;
 mod tracks;
+mod unexplained;
 mod video;
 mod views;
 

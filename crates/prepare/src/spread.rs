@@ -11,10 +11,14 @@ use ffgs_core::Camera;
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use rayon::prelude::*;
 
-/// Points that are made at most, over all views.
-const POINTS: usize = 7_000;
-/// With fewer matched points in a view their depths say nothing of the scene.
-const LEAST_MATCHED: usize = 100;
+/// Points of the background that are made at most, over all views, and of the foreground.
+const STILL: usize = 24_000;
+const MOVING: usize = 12_000;
+/// With fewer matched points in a view their depths say nothing of the scene, or of the foreground.
+const LEAST_STILL: usize = 100;
+const LEAST_MOVING: usize = 16;
+/// A point is hidden by so many that are nearer by this factor, within this share of the image's width.
+const HIDING: (usize, f64, f64) = (3, 1.05, 0.02);
 /// Matched points round a pixel that tell its depth.
 const NEAREST: usize = 32;
 /// Difference of colours (0 to 1, RMS over the channels) that is large.
@@ -39,21 +43,61 @@ struct Known {
 
 /// Pixels of every view, outside its mask, at depths that continue those of the matched points; where there are too few, at
 /// depths from a quarter to four times that of the scene.
-pub(crate) fn rows(views: &[View], matched: &[StereoPoint]) -> Vec<Row> {
+pub(crate) fn background(views: &[View], matched: &[StereoPoint]) -> Vec<Row> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let region = common_region(&cameras);
-    let per_view = POINTS.div_ceil(views.len());
+    let per_view = STILL.div_ceil(views.len());
     let of_view = |view: &View| {
-        let known = known(view, matched);
+        let known = known(view, matched, false);
         (0..per_view).filter_map(|i| sample(view, i, &known, region)).collect::<Vec<_>>()
     };
     views.par_iter().map(of_view).collect::<Vec<_>>().concat()
 }
 
-fn known(view: &View, matched: &[StereoPoint]) -> Vec<Known> {
+/// Pixels of the mask of a view, one of `views`, at depths that continue those of the points that were `matched` on the foreground; none
+/// where too few of them are seen.
+pub(crate) fn foreground(view: &View, views: usize, matched: &[StereoPoint]) -> Vec<StereoPoint> {
+    let width = view.camera.size().width;
+    let known = visible(known(view, matched, true), width as f64);
+    let Some(mask) = view.mask.as_ref().filter(|_| known.len() >= LEAST_MOVING) else { return Vec::new() };
+    let inside: Vec<usize> = (0..mask.data().len()).filter(|&i| mask.data()[i] > 0).collect();
+    let count = MOVING.div_ceil(views).min(inside.len());
+    let point = |k: usize| {
+        let i = inside[k * inside.len() / count];
+        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let colour = colour(view, pixel);
+        StereoPoint { position: at_depth(view, pixel, 1.0 / inverse_depth(&known, pixel, colour)), colour }
+    };
+    (0..count).into_par_iter().map(point).collect()
+}
+
+/// Matched points at pixels of the foreground, or of the rest.
+fn known(view: &View, matched: &[StereoPoint], foreground: bool) -> Vec<Known> {
     let seen = matched.iter().filter_map(|p| view.camera.project(p.position));
-    let seen = seen.filter(|p| view.camera.shows(p.pixel));
+    let seen = seen.filter(|p| view.camera.shows(p.pixel) && is_foreground(view, p.pixel) == foreground);
     seen.map(|p| Known { pixel: p.pixel, inverse: 1.0 / p.depth, colour: colour(view, p.pixel) }).collect()
+}
+
+fn is_foreground(view: &View, pixel: DVec2) -> bool {
+    view.mask.as_ref().is_some_and(|m| m.contains(pixel.x as usize, pixel.y as usize))
+}
+
+/// Points that no nearer ones hide: a car has two sides, of which a camera sees one.
+fn visible(known: Vec<Known>, width: f64) -> Vec<Known> {
+    let (count, nearer, share) = HIDING;
+    let hides = |k: &Known, other: &Known| {
+        other.inverse > nearer * k.inverse && other.pixel.distance(k.pixel) < share * width
+    };
+    let hidden: Vec<bool> =
+        known.iter().map(|k| known.iter().filter(|other| hides(k, other)).count() >= count).collect();
+    known.into_iter().zip(hidden).filter(|(_, hidden)| !hidden).map(|(k, _)| k).collect()
+}
+
+/// The point of a pixel at a depth.
+fn at_depth(view: &View, pixel: DVec2, depth: f64) -> DVec3 {
+    let ray = view.camera.ray(pixel);
+    let forward = view.camera.rotation().transpose() * DVec3::Z;
+    view.camera.center() + ray * (depth / ray.dot(forward))
 }
 
 fn colour(view: &View, pixel: DVec2) -> [f32; 3] {
@@ -64,20 +108,17 @@ fn colour(view: &View, pixel: DVec2) -> [f32; 3] {
 fn sample(view: &View, i: usize, known: &[Known], region: Region) -> Option<Row> {
     let size = view.camera.size();
     let pixel = DVec2::new(halton(i, 2) * size.width as f64, halton(i, 3) * size.height as f64);
-    if view.mask.as_ref().is_some_and(|m| m.contains(pixel.x as usize, pixel.y as usize)) {
+    if is_foreground(view, pixel) {
         return None;
     }
     let colour = colour(view, pixel);
-    let depth = if known.len() >= LEAST_MATCHED {
+    let depth = if known.len() >= LEAST_STILL {
         1.0 / inverse_depth(known, pixel, colour)
     } else {
         let distance = view.camera.center().distance((region.low + region.high) / 2.0);
         distance * 4.0_f64.powf(2.0 * halton(i, 5) - 1.0)
     };
-    let ray = view.camera.ray(pixel);
-    let forward = view.camera.rotation().transpose() * DVec3::Z;
-    let position = view.camera.center() + ray * (depth / ray.dot(forward));
-    Some(row(position, colour, false))
+    Some(row(at_depth(view, pixel, depth), colour, false))
 }
 
 /// The affine function of the pixel that fits the inverse depths round it, at the pixel.
