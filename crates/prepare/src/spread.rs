@@ -12,8 +12,8 @@ use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use rayon::prelude::*;
 
 /// Points of the background that are made at most, over all views, and of the foreground.
-const STILL: usize = 24_000;
-const MOVING: usize = 12_000;
+const STILL: usize = 7_000;
+const MOVING: usize = 4_000;
 /// With fewer matched points in a view their depths say nothing of the scene, or of the foreground.
 const LEAST_STILL: usize = 100;
 const LEAST_MOVING: usize = 16;
