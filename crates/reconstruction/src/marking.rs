@@ -85,10 +85,13 @@ fn mark_again(
     let Dynamic { steps, covariances: all, .. } = &mut scene.dynamic;
     steps.iter_mut().skip(moving.len()).for_each(|step| *step = DVec3::ZERO);
     all.splice(moving.len().., covariances(&started, views));
-    scene.static_layer = Arc::new(scene.static_layer.select(&standing));
-    follow(&mut scene.hidden, &standing, 0, 0);
-    follow(&mut scene.static_colours, &standing, 0, [0.0; 2]);
+    // Those that stop come before those that start go: a column without rows would count as absent.
+    let came = scene.static_layer.len()..scene.static_layer.len() + stopping.len();
     add_static(background, scene, &stopped);
+    let kept: Vec<usize> = standing.into_iter().chain(came).collect();
+    scene.static_layer = Arc::new(scene.static_layer.select(&kept));
+    follow(&mut scene.hidden, &kept, 0, 0);
+    follow(&mut scene.static_colours, &kept, 0, [0.0; 2]);
     Ok([starting.len(), stopping.len()])
 }
 
