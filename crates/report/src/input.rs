@@ -13,6 +13,8 @@ pub struct ReportInput {
     pub title: String,
     /// File of a circle around what moves, a [`crate::Turntable`]; `None` when there is none.
     pub turntable: Option<PathBuf>,
+    /// File of the training cameras' photographs, a [`crate::CameraPictures`]; `None` when there is none.
+    pub cameras: Option<PathBuf>,
     /// The configuration as text (TOML).
     pub configuration: String,
     /// Program version, machine, seeds: one line each.

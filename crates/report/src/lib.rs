@@ -17,4 +17,4 @@ pub use error::ReportError;
 pub use input::{Fact, FrameReport, MotionAccuracy, ReportInput, SkipCount, ViewReport};
 pub use overlay::{OverlayError, motion_picture, uncertainty_picture};
 pub use page::write_report;
-pub use picture::{FramePictures, Thumbnails, Turntable};
+pub use picture::{CameraPicture, CameraPictures, FramePictures, Thumbnails, Turntable};

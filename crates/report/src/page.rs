@@ -53,6 +53,7 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
             embed(frame.pictures.as_deref(), &format!("pictures-{}", frame.index), out)?;
         }
         embed(input.turntable.as_deref(), "turntable-data", out)?;
+        embed(input.cameras.as_deref(), "cameras-data", out)?;
         Ok(out.write_all(tail.as_bytes())?)
     })
 }

@@ -43,6 +43,24 @@ pub struct Turntable {
     pub pictures: Vec<String>,
 }
 
+/// What is believed of the training cameras in one frame: masks, points and tracks drawn on their photographs.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraPictures {
+    /// Frame.
+    pub frame: usize,
+    /// A picture per camera.
+    pub cameras: Vec<CameraPicture>,
+}
+
+/// One camera's.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraPicture {
+    /// Camera name.
+    pub name: String,
+    /// The picture as a `data:` URI (JPEG).
+    pub picture: String,
+}
+
 /// Size of the pictures of a run: the more there are, the smaller is each, so that the report of the whole run keeps a
 /// bounded size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -40,7 +40,7 @@ const fn total(
 }
 
 /// The stages of the dynamic lane.
-const DYNAMIC: [&str; 11] = [
+const DYNAMIC: [&str; 12] = [
     stage::LOAD,
     stage::VORONOI,
     stage::AGREEMENT,
@@ -50,12 +50,13 @@ const DYNAMIC: [&str; 11] = [
     stage::FUSION,
     stage::VALIDATION,
     stage::GROWTH,
+    stage::BIRTH,
     stage::DYNAMIC,
     stage::INFORMATION,
 ];
 
 /// Seconds of the paper: its table for Monaco4D, one GPU per lane.
-const STAGES: [Stage; 16] = [
+const STAGES: [Stage; 17] = [
     row_of("Load", "< 0.1", &[stage::LOAD]),
     row_of("Voronoi densification", "0.5", &[stage::VORONOI]),
     row_of("Agreement", "< 0.1", &[stage::AGREEMENT]),
@@ -65,6 +66,7 @@ const STAGES: [Stage; 16] = [
     row_of("Fusion", "0.15", &[stage::FUSION]),
     row_of("Validation", "–", &[stage::VALIDATION]),
     row_of("Growth", "–", &[stage::GROWTH]),
+    row_of("Birth", "–", &[stage::BIRTH]),
     row_of("Finetuning", "~ 9.5", &[stage::DYNAMIC]),
     row_of("Information", "–", &[stage::INFORMATION]),
     total("Dynamic lane", "dynamic", "~ 10.5", &DYNAMIC),

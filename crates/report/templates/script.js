@@ -92,5 +92,27 @@ function turntable() {
   turn(0);
 }
 
+// Masks, points and tracks of the training cameras; the pictures are decoded when the section is opened.
+function cameras() {
+  const data = at("cameras-data");
+  const { frame, cameras: all } = data ? JSON.parse(data.textContent) : { cameras: [] };
+  if (!all.length) return;
+  at("cameras-frame").textContent = `${frame} (${all.length})`;
+  at("cameras").querySelector("details").addEventListener("toggle", () => {
+    if (at("cameras-gallery").children.length) return;
+    for (const { name, picture: source } of all) {
+      const figure = document.createElement("figure");
+      const img = document.createElement("img");
+      Object.assign(img, { src: source, alt: name });
+      const caption = document.createElement("figcaption");
+      caption.textContent = name;
+      figure.append(img, caption);
+      at("cameras-gallery").append(figure);
+    }
+  });
+  at("cameras").hidden = false;
+}
+
 turntable();
+cameras();
 if (frames.length) start(); else at("viewer").hidden = true;

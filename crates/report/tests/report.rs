@@ -2,8 +2,8 @@
 
 use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics};
 use ffgs_report::{
-    Fact, FramePictures, FrameReport, ReportInput, Thumbnails, Turntable, ViewReport, motion_picture,
-    uncertainty_picture, write_report,
+    CameraPicture, CameraPictures, Fact, FramePictures, FrameReport, ReportInput, Thumbnails, Turntable,
+    ViewReport, motion_picture, uncertainty_picture, write_report,
 };
 use glam::{DMat3, DMat4, DVec3};
 use std::collections::BTreeMap;
@@ -77,6 +77,20 @@ fn a_circle_is_embedded_where_there_is_one() {
     let data = json(&html, "id=\"turntable-data\">", "</script>");
     assert_eq!((data["frame"].as_u64(), data["pictures"].as_array().unwrap().len()), (Some(7), 24));
     assert!(html.contains("<code>ffgs view .</code>"));
+}
+
+#[test]
+fn the_training_cameras_are_embedded_where_they_were_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, file) = (folder.path().join("report.html"), folder.path().join("cameras.json"));
+    let picture = Thumbnails::of_bytes(2000).encode(&filled([10, 200, 30])).unwrap();
+    let camera = CameraPicture { name: "</script>".into(), picture };
+    let drawn = CameraPictures { frame: 3, cameras: vec![camera.clone(), camera] };
+    fs::write(&file, serde_json::to_vec(&drawn).unwrap()).unwrap();
+    write_report(&path, &ReportInput { cameras: Some(file), ..run(folder.path()) }).unwrap();
+    let html = fs::read_to_string(&path).unwrap();
+    let data = json(&html, "id=\"cameras-data\">", "</script>");
+    assert_eq!(serde_json::from_value::<CameraPictures>(data).unwrap(), drawn);
 }
 
 #[test]

@@ -11,6 +11,7 @@ use crate::job::memory;
 use crate::job::memory_need;
 use crate::job::provenance::{Checksum, checksums, frame_digest};
 use crate::job::request::RunRequest;
+use crate::outputs::camera_pictures::write_camera_pictures;
 use crate::outputs::exposure_files::{
     exposures_fact, load_equal, load_training, read_exposures, write_exposures,
 };
@@ -246,6 +247,7 @@ impl<'a> Job<'a> {
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let (photographs, sums) = first_views_and_checksums(&*self.capture, &self.views, frame)?;
         record.log.since(stage::LOAD, start);
+        write_camera_pictures(&self.folder, &*self.capture, &photographs)?;
         let earlier = self.request.first_frame.as_ref();
         let earlier = earlier.map(|run| self.earlier(&RunFolder(run.clone()), frame)).transpose()?;
         let state = reconstructor.first_frame(frame, photographs, earlier, &mut record.log)?;

@@ -104,6 +104,11 @@ impl RunFolder {
         self.0.join("turntable.json")
     }
 
+    /// The training cameras' first photographs with what is drawn on them, a [`ffgs_report::CameraPictures`].
+    pub(crate) fn cameras(&self) -> PathBuf {
+        self.0.join("cameras.json")
+    }
+
     /// How the capture was prepared, copied from it, where it was.
     pub(crate) fn preparation(&self) -> PathBuf {
         self.0.join(Summary::FILE)

@@ -1,5 +1,6 @@
 //! What a run writes into its folder, and how that is read again.
 
+pub(crate) mod camera_pictures;
 pub mod exposure_files;
 pub mod finished_run;
 pub mod folder;

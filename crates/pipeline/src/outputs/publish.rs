@@ -37,6 +37,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
         motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },
         title: format!("fastflowgs: {}", manifest.capture),
         turntable: Some(folder.turntable()).filter(|path| path.exists()),
+        cameras: Some(folder.cameras()).filter(|path| path.exists()),
         configuration: manifest.config.to_toml()?,
         facts,
         preparation: preparation(folder, manifest)?,

@@ -87,6 +87,10 @@ pub(super) fn join(plan: &Plan) -> Result<String> {
     (manifest.first_frame, manifest.segment_length) = (None, Some(plan.length));
     write_json(&joined.manifest(), &manifest)?;
     write_exposures(&read_exposures(&plan.part(0))?, &joined)?;
+    let (drawn, target) = (plan.part(0).cameras(), joined.cameras());
+    if drawn.is_file() {
+        std::fs::copy(&drawn, &target).with_context(|| format!("cannot write {}", target.display()))?;
+    }
     let first = state::load(&plan.first().state(plan.frames.start), plan.frames.start)?.dynamic.next_id;
     let (mut seams, mut records, mut last) = (Vec::new(), Vec::new(), None::<Scene>);
     for (number, part) in parts.iter().enumerate() {
