@@ -122,7 +122,8 @@ impl Reconstructor<'_> {
 
     /// One training of all Gaussians, from the capture's points.
     fn train_all(&self, name: &'static str, views: &[TrainingView]) -> Result<FirstFrame> {
-        let config = &self.config.first_frame.for_views(views.len());
+        let pixels = views.iter().map(|view| view.image.size().pixels()).sum();
+        let config = &self.config.first_frame.for_photographs(views.len(), pixels);
         let report = self.monitor.begin(name, config.iterations);
         self.devices.first_frame(
             config,

@@ -40,6 +40,8 @@ pub struct FirstFrameConfig {
     pub max_points: usize,
     /// Number of Gaussians never exceeded by growth.
     pub max_gaussians: usize,
+    /// Nor by growth, per pixel of all photographs together.
+    pub gaussians_per_pixel: f32,
     /// Lower all opacities at this share of the steps; 0 = never.
     pub opacity_reset: f32,
     /// Rate of the sky's texels.
@@ -67,6 +69,7 @@ impl Default for FirstFrameConfig {
             grow_gradient: 2e-4,
             max_points: 0,
             max_gaussians: 90_000,
+            gaussians_per_pixel: 0.13,
             opacity_reset: 0.0,
             sky_rate: 5e-3,
             few_views: 12,
@@ -77,11 +80,17 @@ impl Default for FirstFrameConfig {
 }
 
 impl FirstFrameConfig {
-    /// With the share of `dropout` that `views` views need: all of it where they are few, none with half as many again.
+    /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
+    /// and none with half as many again, and with no more Gaussians than they can tell apart.
     #[must_use]
-    pub fn for_views(self, views: usize) -> Self {
+    pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
         let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
-        Self { dropout: self.dropout * scarcity, ..self }
+        let told_apart = (f64::from(self.gaussians_per_pixel) * pixels as f64) as usize;
+        Self {
+            dropout: self.dropout * scarcity,
+            max_gaussians: self.max_gaussians.min(told_apart.max(1)),
+            ..self
+        }
     }
 }
 
@@ -186,9 +195,20 @@ mod tests {
     #[test]
     fn dropout_ends_with_half_as_many_views_again() {
         let config = FirstFrameConfig { few_views: 12, dropout: 0.4, ..FirstFrameConfig::default() };
-        let shares = [3, 12, 15, 18, 40].map(|views| config.for_views(views).dropout);
+        let shares = [3, 12, 15, 18, 40].map(|views| config.for_photographs(views, 1000).dropout);
         assert_eq!(shares, [0.4, 0.4, 0.2, 0.0, 0.0]);
         let never = FirstFrameConfig { few_views: 0, ..config };
-        assert_eq!([1, 3].map(|views| never.for_views(views).dropout), [0.0; 2]);
+        assert_eq!([1, 3].map(|views| never.for_photographs(views, 1000).dropout), [0.0; 2]);
+    }
+
+    #[test]
+    fn few_pixels_tell_few_gaussians_apart() {
+        let config = FirstFrameConfig {
+            max_gaussians: 1000,
+            gaussians_per_pixel: 0.25,
+            ..FirstFrameConfig::default()
+        };
+        let limits = [0, 400, 4000, 1 << 40].map(|pixels| config.for_photographs(8, pixels).max_gaussians);
+        assert_eq!(limits, [1, 100, 1000, 1000]);
     }
 }

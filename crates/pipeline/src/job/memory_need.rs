@@ -109,7 +109,7 @@ pub(crate) fn require(
         let points = contained(&capture.part(Part::Points), SAVED[1]);
         // All that start are Gaussians, also those beyond the limit of growth.
         let started = if first.max_points == 0 { points } else { points.min(first.max_points) };
-        started.max(first.max_gaussians)
+        started.max(first.for_photographs(views.len(), pixels.iter().sum()).max_gaussians)
     };
     let need = Need::new(&request.config, Size { pixels, gaussians, streams });
     ensure!(need.total() <= budget, need.told(budget));
