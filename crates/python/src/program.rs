@@ -12,6 +12,7 @@ use ffgs_pipeline::cli::{Cli, Command};
 use ffgs_pipeline::commands::stage::{Form, Stage, run as run_stage};
 use ffgs_pipeline::job::device::Device;
 use ffgs_pipeline::job::frame::{first_views, select_views};
+use ffgs_pipeline::job::run::run_while;
 use ffgs_pipeline::settings::config::Config;
 use ffgs_reconstruction::{Devices, Reconstructor, Silent, State};
 use pyo3::exceptions::PyValueError;
@@ -62,11 +63,13 @@ fn trained(capture: &dyn Capture, iterations: Option<usize>, seed: u64) -> Resul
     reconstructor.first_frame(0, first_views(capture, &chosen, 0)?, None, &mut StageLog::default())
 }
 
-/// `ffgs run` with the words of its command line; the path of the report.
+/// `ffgs run` with the words of its command line; the path of the report. An interrupt from the keyboard ends it after the frame at work.
 #[pyfunction]
 pub(crate) fn reconstruct(py: Python<'_>, words: Vec<String>) -> PyResult<PathBuf> {
     let words = ["ffgs".to_owned(), "run".to_owned()].into_iter().chain(words);
     let cli = Cli::try_parse_from(words).map_err(|e| PyValueError::new_err(e.to_string()))?;
     let Command::Run(args) = cli.command else { return Err(PyValueError::new_err("not a run")) };
-    py.detach(|| args.request().and_then(|request| ffgs_pipeline::job::run::run(&request))).map_err(failed)
+    let go_on = || Ok(Python::attach(|py| py.check_signals())?);
+    let result = py.detach(|| args.request().and_then(|request| run_while(&request, &go_on)));
+    result.map_err(|error| error.downcast::<PyErr>().unwrap_or_else(failed))
 }

@@ -5,6 +5,7 @@ FFGS names the program `ffgs`; without it the comparison with its pictures is sk
 
 import json
 import os
+import signal
 import subprocess
 import threading
 import time
@@ -69,6 +70,26 @@ def test_frames_of_a_run_are_read_and_look_like_the_photographs(run, capture):
         assert psnr(colours, capture.image(view, frame.index), opacity > 0.99) > 15
     with pytest.raises(KeyError, match="not finished"):
         run[7]
+
+
+def test_an_interrupt_ends_a_run_after_the_frame_at_work(tmp_path):
+    out = tmp_path / "out"
+    settings = {"device": "cpu", "quiet": True, "first_iterations": 10, "iterations": 5, "static_iterations": 2}
+    settings["train_views"] = "trk000,trk004,trk008"
+
+    def interrupt():
+        while not (out / "frames/000000/state.ffgs").exists():
+            time.sleep(0.005)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    watcher = threading.Thread(target=interrupt)
+    watcher.start()
+    with pytest.raises(KeyboardInterrupt):
+        fastflowgs.reconstruct(SAMPLE, out, frames="0..6", **settings)
+    watcher.join()
+    finished = len(fastflowgs.Run(out))
+    assert 1 <= finished < 6 and (out / "report.html").exists()
+    assert len(fastflowgs.reconstruct(SAMPLE, out, frames="0..6", resume=True, **settings)) == 6
 
 
 def test_a_view_is_the_picture_of_the_program(run, capture, tmp_path):

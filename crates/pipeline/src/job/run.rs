@@ -44,14 +44,22 @@ use std::time::Instant;
 /// # Errors
 /// When the capture, a setting or the output folder cannot be used, a frame fails, or the device does. Finished frames stay.
 pub fn run(request: &RunRequest) -> Result<PathBuf> {
-    run_frames(&Job::open(request)?)
+    run_while(request, &|| Ok(()))
 }
 
-fn run_frames(job: &Job) -> Result<PathBuf> {
+/// As [`run`]; before each frame `go_on` may end the run.
+///
+/// # Errors
+/// Those of [`run`] and of `go_on`. Finished frames stay, and the report shows them.
+pub fn run_while(request: &RunRequest, go_on: &dyn Fn() -> Result<()>) -> Result<PathBuf> {
+    run_frames(&Job::open(request)?, go_on)
+}
+
+fn run_frames(job: &Job, go_on: &dyn Fn() -> Result<()>) -> Result<PathBuf> {
     let console = Console::new(job.request.quiet, job.frames.clone());
     let mut reconstructor = job.reconstructor(&console)?;
     let (mut metrics, mut last) = job.finished_frames(&mut reconstructor)?;
-    let result = job.frames_after(&mut metrics, &mut last, &mut reconstructor, &console);
+    let result = job.frames_after(&mut metrics, &mut last, &mut reconstructor, &console, go_on);
     if let (Ok(()), Some(last), Some(record)) = (&result, &last, metrics.frames.last()) {
         write_turntable(&job.folder, &*job.capture, record.frame, &last.scene, job.devices())?;
     }
@@ -218,9 +226,11 @@ impl<'a> Job<'a> {
         last: &mut Option<State>,
         reconstructor: &mut Reconstructor,
         console: &Console,
+        go_on: &dyn Fn() -> Result<()>,
     ) -> Result<()> {
         let mut publish_next = Instant::now();
         for frame in self.frames.clone().skip(metrics.frames.len()) {
+            go_on()?;
             console.begin_frame(frame);
             let (next, record) = match last.take() {
                 None => self.first_frame(frame, reconstructor)?,

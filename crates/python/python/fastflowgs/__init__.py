@@ -85,7 +85,7 @@ def reconstruct(capture, out, **options):
     """Reconstructs a capture as `ffgs run` does and returns the run.
 
     `options` are those of `ffgs run --help` with underscores: frames="0..2", first_iterations=100, device="cpu", resume=True.
-    It cannot be interrupted from the keyboard; what is killed goes on with resume=True.
+    Ctrl-C ends it after the frame at work; what was ended goes on with resume=True.
     """
     words = [str(capture), "--out", str(out)]
     for name, value in options.items():

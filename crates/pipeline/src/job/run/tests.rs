@@ -70,7 +70,7 @@ fn a_run_opens_each_image_and_mask_once() {
     let counting = Counting { capture: open_capture(&request.capture).unwrap(), opened: Arc::clone(&opened) };
     let tests = counting.views(Split::Test).len();
     let starts = counting.views(Split::Init).len();
-    run_frames(&Job::on(Box::new(counting), &request).unwrap()).unwrap();
+    run_frames(&Job::on(Box::new(counting), &request).unwrap(), &|| Ok(())).unwrap();
     let opened = opened.lock().unwrap();
     assert!(opened.values().all(|&count| count == 1), "{opened:?}");
     assert_eq!(opened.len(), 2 * (2 * (3 + tests) + starts));
@@ -93,6 +93,26 @@ fn a_frame_copies_the_static_layer_only_to_change_it() {
         assert_eq!(Arc::ptr_eq(&layer, &next.scene.static_layer), stays, "{steps} steps");
         assert_eq!(Arc::strong_count(&layer), if stays { 2 } else { 1 }, "who else keeps it?");
     }
+}
+
+/// The caller ends a run of three frames before its second one: the first is finished and in the report, and a resumed run goes on.
+#[test]
+fn a_run_that_its_caller_ends_keeps_its_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let asked = std::cell::Cell::new(0);
+    let go_on = || {
+        asked.set(asked.get() + 1);
+        anyhow::ensure!(asked.get() < 2, "ended by the caller");
+        Ok(())
+    };
+    let on_cpu = |frames, resume| RunRequest { device: Device::Cpu, ..request(&out, &[], frames, resume) };
+    let error = run_while(&on_cpu(3, false), &go_on).unwrap_err().to_string();
+    assert_eq!((error.as_str(), asked.get()), ("ended by the caller", 2));
+    let finished = || (0..4).filter(|&frame| RunFolder(out.clone()).state(frame).exists()).count();
+    assert_eq!((finished(), out.join("report.html").exists()), (1, true));
+    run(&on_cpu(2, true)).unwrap();
+    assert_eq!(finished(), 2);
 }
 
 /// A short run of the sample on GPUs, every lane on them.
@@ -134,7 +154,7 @@ fn a_lost_gpu_ends_the_frame_and_a_resumed_run_ends_as_one_that_never_stopped() 
     let job = Job::open(&request_cut).unwrap();
     assert_eq!(job.gpus.len(), 3);
     job.gpus[2].gpu.lose_after(2);
-    let error = format!("{:#}", run_frames(&job).unwrap_err());
+    let error = format!("{:#}", run_frames(&job, &|| Ok(())).unwrap_err());
     assert!(error.contains("the GPU was lost") && error.contains("--resume"), "{error}");
     assert!(!job.folder.state(1).exists(), "the frame did not finish");
     assert!(state(&cut, 0) == first, "the finished frame stays");
