@@ -69,7 +69,14 @@ pub(crate) fn reconstruct(py: Python<'_>, words: Vec<String>) -> PyResult<PathBu
     let words = ["ffgs".to_owned(), "run".to_owned()].into_iter().chain(words);
     let cli = Cli::try_parse_from(words).map_err(|e| PyValueError::new_err(e.to_string()))?;
     let Command::Run(args) = cli.command else { return Err(PyValueError::new_err("not a run")) };
-    let go_on = || Ok(Python::attach(|py| py.check_signals())?);
-    let result = py.detach(|| args.request().and_then(|request| run_while(&request, &go_on)));
+    let result = py.detach(|| args.request().and_then(|request| run_while(&request, &not_interrupted)));
     result.map_err(|error| error.downcast::<PyErr>().unwrap_or_else(failed))
+}
+
+/// An interrupt from the keyboard is an error.
+fn not_interrupted() -> Result<()> {
+    Python::attach(|py| {
+        py.check_signals()?;
+        Ok(())
+    })
 }
