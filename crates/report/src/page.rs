@@ -34,6 +34,8 @@ struct Page<'a> {
     motion_plots: Vec<String>,
     timing: Vec<Row>,
     error_range: f64,
+    /// Whether any camera is held out.
+    has_test_views: bool,
 }
 
 /// Where the pictures go: [`write_report`] copies them into the rendered template as they are.
@@ -68,6 +70,7 @@ fn render(input: &ReportInput) -> Result<String, ReportError> {
         motion_plots: motion_plots(&input.motion),
         timing: rows(&input.frames),
         error_range: picture::ERROR_RANGE,
+        has_test_views: input.frames.iter().any(|frame| !frame.views.is_empty()),
     };
     let mut environment = Environment::new();
     environment.add_template("report.html", TEMPLATE)?;
@@ -84,20 +87,16 @@ fn embed(path: Option<&Path>, id: &str, out: &mut impl Write) -> Result<(), Repo
     Ok(writeln!(out, "<script type=\"application/json\" id=\"{id}\">{text}</script>")?)
 }
 
-/// Metrics that every run has; the others, of videos, come with `ffgs eval`.
-const STILL_METRICS: usize = 3;
-
 type Metric = fn(&ViewReport) -> Option<f64>;
 
 fn mean_of(frame: &FrameReport, metric: Metric) -> Option<f64> {
     mean(&frame.views.iter().filter_map(metric).collect::<Vec<_>>())
 }
 
-/// Means over the frames after the first, as in `metrics.json`.
+/// Means over the frames after the first, as in `metrics.json`. What was not measured is left out: without test views there is no quality,
+/// and that of videos comes with `ffgs eval`.
 fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     let later = frames.get(1..).filter(|f| !f.is_empty()).unwrap_or(frames);
-    let text =
-        |value: Option<f64>, decimals: usize| value.map_or("–".into(), |v| format!("{v:.decimals$}"));
     let over =
         |f: &dyn Fn(&FrameReport) -> Option<f64>| mean(&later.iter().filter_map(f).collect::<Vec<_>>());
     let metric = |m: Metric| mean(&later.iter().flat_map(|f| &f.views).filter_map(m).collect::<Vec<_>>());
@@ -107,16 +106,13 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     let (psnr, vmaf) = (metric(|v| v.psnr), metric(|v| v.vmaf));
     let per_second = |quality: Option<f64>| Some(quality? / seconds?);
     let values = [
-        ("PSNR", text(psnr, 2), "dB"),
-        ("MPSNR (foreground)", text(metric(|v| v.mpsnr), 2), "dB"),
-        ("SSIM", text(metric(|v| v.ssim), 4), ""),
-        ("Time per frame", text(over(&|f| f.seconds.get(stage::WALL).copied()), 2), "s"),
-        ("PSNR per second (PE)", text(per_second(psnr), 2), "dB/s"),
-        ("Gaussians", text(gaussians, 1), "thousand"),
-        ("On disk per frame", text(megabytes, 2), "MB"),
-    ];
-    // Only after `ffgs eval`.
-    let of_video = [
+        ("PSNR", psnr, 2, "dB"),
+        ("MPSNR (foreground)", metric(|v| v.mpsnr), 2, "dB"),
+        ("SSIM", metric(|v| v.ssim), 4, ""),
+        ("Time per frame", over(&|f| f.seconds.get(stage::WALL).copied()), 2, "s"),
+        ("PSNR per second (PE)", per_second(psnr), 2, "dB/s"),
+        ("Gaussians", gaussians, 1, "thousand"),
+        ("On disk per frame", megabytes, 2, "MB"),
         ("VMAF", vmaf, 2, ""),
         ("VMAF per second (VE)", per_second(vmaf), 2, "1/s"),
         ("Flicker", metric(|v| v.flicker), 3, "levels"),
@@ -124,10 +120,10 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
         ("MVMAF (foreground)", metric(|v| v.mvmaf), 2, ""),
         ("Flicker of the foreground", metric(|v| v.mflicker), 3, "levels"),
     ];
-    let of_video = of_video.into_iter().filter(|(_, value, ..)| value.is_some());
-    let of_video = of_video.map(|(label, value, decimals, unit)| (label, text(value, decimals), unit));
-    let all = values.into_iter().chain(of_video);
-    all.map(|(label, value, unit)| Headline { label, value, unit }).collect()
+    let headline = |(label, value, decimals, unit): (_, Option<f64>, usize, _)| {
+        Some(Headline { label, value: format!("{:.decimals$}", value?), unit })
+    };
+    values.into_iter().filter_map(headline).collect()
 }
 
 fn plots(frames: &[FrameReport]) -> Vec<String> {
@@ -138,12 +134,10 @@ fn plots(frames: &[FrameReport]) -> Vec<String> {
         ("VMAF", |v| v.vmaf),
         ("flicker (levels)", |v| v.flicker),
     ];
-    let of_video = |metric: Metric| frames.iter().flat_map(|f| &f.views).any(|view| metric(view).is_some());
+    let measured = |metric: Metric| frames.iter().flat_map(|f| &f.views).any(|view| metric(view).is_some());
     let mut out: Vec<String> = metrics
         .into_iter()
-        .enumerate()
-        .filter(|(place, (_, metric))| *place < STILL_METRICS || of_video(*metric))
-        .map(|(_, metric)| metric)
+        .filter(|(_, metric)| measured(*metric))
         .map(|(label, metric)| over_frames(label, &metric_series(frames, metric)))
         .collect();
     let count = |name: &str, of: fn(&FrameReport) -> usize| {

@@ -32,7 +32,7 @@ function show() {
   at("frame-name").textContent = `frame ${frame.index} (${state.frame + 1} of ${frames.length})`;
   [0, 1, 2].forEach((i) => picture(at(`image-${i}`), images && images[i]));
   const scores = view ? [score("PSNR", view.psnr, 2, " dB"), score("MPSNR", view.mpsnr, 2, " dB"),
-    score("SSIM", view.ssim, 4, ""), score("VMAF", view.vmaf, 1, ""), score("flicker", view.flicker, 2, "")] : ["not in this frame"];
+    score("SSIM", view.ssim, 4, ""), score("VMAF", view.vmaf, 1, ""), score("flicker", view.flicker, 2, "")] : names.length ? ["not in this frame"] : [];
   at("scores").textContent = scores.filter(Boolean).join(" · ");
   const none = !pictures.motion && !pictures.uncertainty;
   at("pair").hidden = none;

@@ -79,6 +79,29 @@ fn a_circle_is_embedded_where_there_is_one() {
     assert!(html.contains("<code>ffgs view .</code>"));
 }
 
+/// Most footage has no camera to spare: the report then says so, rather than showing empty plots.
+#[test]
+fn a_run_without_test_views_claims_no_quality() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let mut input = run(folder.path());
+    let page = |input: &ReportInput| {
+        write_report(&path, input).unwrap();
+        fs::read_to_string(&path).unwrap()
+    };
+    let measured = page(&input);
+    assert!(measured.contains("<small>PSNR</small>") && measured.contains("PSNR (dB)"));
+    input.frames.iter_mut().for_each(|frame| {
+        frame.views.clear();
+        frame.initial_mpsnr = None;
+    });
+    let unmeasured = page(&input);
+    assert!(!unmeasured.contains("<small>PSNR") && !unmeasured.contains("PSNR (dB)"));
+    assert!(
+        unmeasured.contains("No camera of this capture is held out") && !measured.contains("is held out")
+    );
+}
+
 #[test]
 fn the_training_cameras_are_embedded_where_they_were_drawn() {
     let folder = tempfile::tempdir().unwrap();
