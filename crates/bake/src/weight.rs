@@ -36,7 +36,7 @@ pub fn conserve_weight(
 
 /// Blending weight of each Gaussian (px), summed over the cameras.
 fn weights(gaussians: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
     let mut out = vec![0.0; gaussians.len()];
     for camera in cameras {

@@ -3,7 +3,7 @@
 use crate::photographs::Photographs;
 use anyhow::Result;
 use ffgs_core::Gaussians;
-use ffgs_rasterizer::{Dropout, Gradients};
+use ffgs_rasterizer::{Gradients, RenderOptions};
 use ffgs_trainer::{
     Adam, DensityConfig, DensityControl, Epochs, GradientSums, LearningRates, Schedule, Training, Update,
     decay, normal,
@@ -153,7 +153,7 @@ impl<'a, 'v> Added<'a, 'v> {
 impl Training for Added<'_, '_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: RenderOptions) -> Result<()> {
         self.photographs.forward(view, self.gaussians).map(|_| ())
     }
 

@@ -6,7 +6,7 @@
 use crate::photographs::Photographs;
 use anyhow::Result;
 use ffgs_core::Gaussians;
-use ffgs_rasterizer::{Dropout, Gradients};
+use ffgs_rasterizer::{Gradients, RenderOptions};
 use ffgs_trainer::{AdamVec, GradientSums, LearningRates, Training, Update};
 use glam::Quat;
 use rayon::prelude::*;
@@ -171,7 +171,7 @@ impl Training for Fit<'_, '_> {
     type Error = anyhow::Error;
 
     /// What the last step changes is the start of the next frame, as in the official code: the Gaussians follow before a step, not after.
-    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: RenderOptions) -> Result<()> {
         self.deformation.apply(&self.deltas.values, &self.base, self.gaussians);
         self.deltas.applied.clone_from(&self.deltas.values);
         self.photographs.forward(view, self.gaussians).map(|_| ())

@@ -34,7 +34,7 @@ pub(crate) fn observe(
     let gpu = &device.gpu;
     let moving = GpuScene::upload(gpu, gaussians)?;
     let scene = GpuScene::joined(gpu, &[&moving, &device.layer(input.static_layer)?])?;
-    let options = RenderOptions { sh_degree: Some(0), dropout: None };
+    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
     let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
     for (v, mut rows) in rows(&mut observations).into_iter().enumerate() {
         if input.step.before[v].mask.count() > 0 {

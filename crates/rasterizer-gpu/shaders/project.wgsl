@@ -118,8 +118,8 @@ fn project(
         let e = project_shape(g);
         splat.opacity = min(sigmoid(g.opacity_logit) * dropout_factor(i), 1.0) * compensation_of(e);
         if e.valid && splat.opacity >= MIN_ALPHA {
-            splat.mean = view.focal * e.point.xy / e.point.z + view.principal;
-            splat.depth = e.point.z;
+            splat.mean = e.mean + view.principal;
+            splat.depth = e.expansion.point.z;
             splat.shape = shape_of(e);
             offset = e.offset;
             if is_finite(splat.mean.x) && is_finite(splat.mean.y) {

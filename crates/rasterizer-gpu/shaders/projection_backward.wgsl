@@ -58,35 +58,39 @@ fn compensation_gradient(e: Ewa, upstream: f32) -> vec3f {
 }
 
 struct ShapeGradient {
-    // By the camera-space position.
-    point: vec3f,
-    // By rotation * diag(scales).
-    shape: mat3x3f,
+    // By the centre and by rotation * diag(scales), and what the pose needs besides.
+    moved: ExpansionGradient,
     // By the rows of the Jacobian times the camera's rotation.
     to_pixels: array<vec3f, 2>,
 }
 
 fn shape_gradient(e: Ewa, d_axes: array<vec3f, 2>, mean2d: vec2f) -> ShapeGradient {
     var g: ShapeGradient;
+    var d_shape: mat3x3f;
+    var d_point: vec3f;
     let rotation = camera_rotation();
-    let z = e.point.z;
+    let point = e.expansion.point;
+    let z = point.z;
     for (var axis = 0u; axis < 2u; axis++) {
         let row = e.to_pixels[axis];
         let d = d_axes[axis];
-        g.shape += mat3x3f(row * d.x, row * d.y, row * d.z);
+        d_shape += mat3x3f(row * d.x, row * d.y, row * d.z);
         g.to_pixels[axis] = e.shape * d;
         let f = view.focal[axis];
-        let d_jacobian = rotation * g.to_pixels[axis];
+        let d_jacobian = rotation * g.to_pixels[axis] + e.expansion.rest * mean2d[axis];
         // Jacobian row: f/z on the axis, -f slope / z along the optical axis.
         let along = f * e.slope[axis] / (z * z) * d_jacobian.z;
-        g.point.z += along - f / (z * z) * d_jacobian[axis];
+        d_point.z += along - f / (z * z) * d_jacobian[axis];
         if !e.clamped[axis] {
-            g.point[axis] -= f / (z * z) * d_jacobian.z;
-            g.point.z += along;
+            d_point[axis] -= f / (z * z) * d_jacobian.z;
+            d_point.z += along;
         }
-        g.point[axis] += f / z * mean2d[axis];
-        g.point.z -= f * e.point[axis] / (z * z) * mean2d[axis];
+        d_point[axis] += f / z * mean2d[axis];
+        d_point.z -= f * point[axis] / (z * z) * mean2d[axis];
     }
+    let d_rest = e.jacobian[0] * mean2d.x + e.jacobian[1] * mean2d.y;
+    g.moved = expansion_gradient(e.expansion, d_point, d_rest, e.shape, rotation);
+    g.moved.shape += d_shape;
     return g;
 }
 
@@ -148,16 +152,15 @@ fn write_pose(i: u32, mean: vec3f, e: Ewa, shape: ShapeGradient, from_direction:
     let toward_center = rotation * from_direction;
     let center = rotation * (view.center_high + view.center_low);
     for (var row = 0u; row < 3u; row++) {
-        var d = shape.point[row] * mean - center[row] * from_direction;
-        for (var axis = 0u; axis < 2u; axis++) {
-            var jacobian = vec3f(0.0, 0.0, -view.focal[axis] / e.point.z * e.slope[axis]);
-            jacobian[axis] = view.focal[axis] / e.point.z;
-            d += jacobian[row] * shape.to_pixels[axis];
+        var d = shape.moved.centre[row] * mean - center[row] * from_direction;
+        for (var pair = 0u; pair < 2u; pair++) {
+            d += e.jacobian[pair][row] * shape.to_pixels[pair];
+            d += shape.moved.in_camera[pair][row] * shape.moved.in_world[pair];
         }
         pose[i][row * 3u] = d.x;
         pose[i][row * 3u + 1u] = d.y;
         pose[i][row * 3u + 2u] = d.z;
-        pose[i][9u + row] = shape.point[row] + toward_center[row];
+        pose[i][9u + row] = shape.moved.centre[row] + toward_center[row];
     }
 }
 
@@ -200,13 +203,14 @@ fn projection_backward(
     if !fresh {
         d = geometry_gradient[i];
     }
-    d.mean += transpose(camera_rotation()) * shape.point + from_direction;
-    let turn = mat3x3f(shape.shape[0] * e.scales.x, shape.shape[1] * e.scales.y, shape.shape[2] * e.scales.z);
+    d.mean += transpose(camera_rotation()) * shape.moved.centre + from_direction;
+    let by_shape = shape.moved.shape;
+    let turn = mat3x3f(by_shape[0] * e.scales.x, by_shape[1] * e.scales.y, by_shape[2] * e.scales.z);
     d.quat += quaternion_gradient(g.quat, turn);
     d.log_scale += vec3f(
-        dot(shape.shape[0], e.shape[0]),
-        dot(shape.shape[1], e.shape[1]),
-        dot(shape.shape[2], e.shape[2]),
+        dot(by_shape[0], e.shape[0]),
+        dot(by_shape[1], e.shape[1]),
+        dot(by_shape[2], e.shape[2]),
     );
     // None at the bound of 1.
     let slope = select(alpha * (1.0 - alpha) * factor, 0.0, alpha * factor > 1.0);

@@ -33,6 +33,7 @@ pub fn prepare(
         dropout_threshold: options.dropout.map_or(0, Dropout::threshold),
         dropout_draw: options.dropout.map_or(0, |dropout| dropout.draw),
         dropout_gain: options.dropout.map_or(1.0, Dropout::gain),
+        beyond: if options.at_centres { 0.0 } else { 1.0 },
         ..view.constants
     };
     gpu.write(&view.uniform, &[constants]);

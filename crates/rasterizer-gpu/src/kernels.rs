@@ -7,6 +7,7 @@ pub const VIEW: &str = wgsl!("common/view");
 const PLAN: &str = wgsl!("common/plan");
 const SCAN: &str = wgsl!("common/scan_group");
 const SH: &str = wgsl!("common/spherical_harmonics");
+const EXPANSION: &str = wgsl!("common/expansion");
 const EWA: &str = wgsl!("common/ewa");
 const WALK: &str = wgsl!("common/walk");
 const BACKWARD: &str = wgsl!("common/backward");
@@ -17,7 +18,7 @@ const SUBGROUPS: &str = wgsl!("common/reduce_subgroups");
 pub const LEDGER: &str = wgsl!("common/ledger");
 
 kernels! {
-    PROJECT = "project" of 256, [VIEW, SH, EWA];
+    PROJECT = "project" of 256, [VIEW, SH, EXPANSION, EWA];
     RANK_COUNTS = "rank_counts" of 256, [VIEW];
     SCAN_BLOCKS = "scan_blocks" of 256, [PLAN, SCAN];
     SCAN_SPINE = "scan_spine" of 256, [PLAN, SCAN];
@@ -38,5 +39,5 @@ kernels! {
     COUNT_VIEWS = "count_views" of 256, [VIEW];
     TILE_DEPTHS = "tile_depths" of 256, [VIEW];
     BLEND_SPLIT = "blend_split" of 64, [VIEW, WALK];
-    PROJECTION_BACKWARD = "projection_backward" of 256, [VIEW, SH, EWA, LEDGER];
+    PROJECTION_BACKWARD = "projection_backward" of 256, [VIEW, SH, EXPANSION, EWA, LEDGER];
 }

@@ -31,7 +31,7 @@ pub(crate) struct ViewUniform {
     pub dropout_draw: u32,
     pub dropout_gain: f32,
     pub pixel_filter: f32,
-    pub padding: u32,
+    pub beyond: f32,
 }
 
 /// `Geometry` of `shaders/common/view.wgsl`: a Gaussian's parameters other than colour, their gradients or moments.

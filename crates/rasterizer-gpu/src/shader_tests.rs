@@ -18,7 +18,7 @@ fn host_structs_have_the_layout_of_the_shaders() {
     let view = host_layout!(
         ViewUniform, rotation, center_high, count, center_low, sh_degree, focal, principal, slope_low, slope_high,
         size, tiles, background, sh_stride, antialiased, slots, span_capacity, pair_capacity, layered, stamp,
-        with_pose, dropout_threshold, dropout_draw, dropout_gain, pixel_filter, padding,
+        with_pose, dropout_threshold, dropout_draw, dropout_gain, pixel_filter, beyond,
     );
     let twins = [
         ("View", view),
@@ -47,6 +47,7 @@ fn constants_are_those_of_the_host() {
         ("MIN_TRANSMITTANCE", f64::from(host::MIN_TRANSMITTANCE)),
         ("MIN_COMPENSATION", f64::from(host::MIN_COMPENSATION)),
         ("NEAR", f64::from(host::NEAR)),
+        ("LEAST_VARIANCE", f64::from(host::LEAST_VARIANCE)),
         ("BLOCK", crate::scratch::BLOCK as f64),
         ("DIGITS", crate::scratch::DIGITS as f64),
         ("CHANNELS", crate::footprint::CHANNELS as f64),

@@ -55,6 +55,26 @@ fn scene(n: usize, sh_degree: usize, seed: u64) -> Gaussians {
     out
 }
 
+/// Long Gaussians whose centres lie outside the image, near the camera, and that run along the view.
+fn beside(n: usize, seed: u64) -> Gaussians {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = scene(n, 1, seed);
+    let camera = camera();
+    let back = camera.rotation().transpose();
+    for i in 0..n {
+        let angle = rng.random_range(0.0..std::f64::consts::TAU);
+        let centre = glam::DVec3::new(angle.cos(), angle.sin(), rng.random_range(0.2..0.7));
+        out.means[i] = (camera.center() + back * centre).as_vec3().to_array();
+        let lean = glam::DVec3::new(rng.random_range(-0.3..0.3), rng.random_range(-0.3..0.3), 1.0);
+        let q = glam::DQuat::from_rotation_arc(glam::DVec3::Z, (back * lean).normalize()).as_quat();
+        out.quats[i] = [q.w, q.x, q.y, q.z];
+        out.log_scales[i] =
+            [rng.random_range(-4.0..-1.5), rng.random_range(-4.0..-1.5), rng.random_range(-0.5..0.5)];
+        out.opacity_logits[i] = rng.random_range(-2.0..3.0);
+    }
+    out
+}
+
 fn picture(seed: u64) -> PlanarImage {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut out = PlanarImage::zeros(SIZE);
@@ -107,6 +127,18 @@ fn compare(gpu: &Gpu, case: &Case) {
     compare_column(case.name, "scales", a.log_scales.as_flattened(), b.log_scales.as_flattened());
     compare_column(case.name, "opacities", &a.opacity_logits, &b.opacity_logits);
     compare_column(case.name, "sh", a.sh.as_flattened(), b.sh.as_flattened());
+    let pose = |g: &Gradients| {
+        let columns = [
+            g.camera_rotation.x_axis,
+            g.camera_rotation.y_axis,
+            g.camera_rotation.z_axis,
+            g.camera_translation,
+        ];
+        // The rotation's entries are multiplied with coordinates, which are large far from the origin.
+        let scale = [far().length(), far().length(), far().length(), 1.0];
+        columns.iter().zip(scale).flat_map(|(c, s)| (*c / s).as_vec3().to_array()).collect::<Vec<f32>>()
+    };
+    compare_column(case.name, "pose", &pose(&gradients), &pose(&expected_gradients));
     compare_column(case.name, "mean2d", &gradients.mean2d_norm, &expected_gradients.mean2d_norm);
 }
 
@@ -140,7 +172,7 @@ fn random_scenes_agree() {
     let gpu = Gpu::for_test();
     let behind = picture(9);
     let all = RenderOptions::default();
-    let low = RenderOptions { sh_degree: Some(1), dropout: None };
+    let low = RenderOptions { sh_degree: Some(1), ..RenderOptions::default() };
     let plain = |gaussians: Gaussians| gaussians.with_filter(PixelFilter::Plain);
     let cases = [
         Case {
@@ -171,6 +203,20 @@ fn random_scenes_agree() {
             background: Background::Colour([0.3, 0.1, 0.7]),
             tiles: None,
             options: RenderOptions { dropout: Some(Dropout { share: 0.4, draw: 9 }), ..low },
+        },
+        Case {
+            name: "long ones beside the camera",
+            gaussians: beside(60, 6),
+            background: Background::Colour([0.3, 0.1, 0.7]),
+            tiles: None,
+            options: low,
+        },
+        Case {
+            name: "the same, linear at the centres",
+            gaussians: beside(60, 6),
+            background: Background::Colour([0.3, 0.1, 0.7]),
+            tiles: None,
+            options: RenderOptions { at_centres: true, ..low },
         },
         Case {
             name: "nothing",

@@ -48,7 +48,7 @@ fn camera(file: &NpzFile) -> Camera {
 
 fn run(gpu: &Gpu, file: &NpzFile) -> (Rendered, Gradients) {
     let scalar = |name: &str| file.i64(name).unwrap().data[0];
-    let options = RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), dropout: None };
+    let options = RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), ..RenderOptions::default() };
     let (camera, background) = (camera(file), file.f32("in_background").unwrap().data);
     let background = Background::Colour([background[0], background[1], background[2]]);
     let view = View { camera: &camera, background, tiles: None };

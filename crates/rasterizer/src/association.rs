@@ -161,7 +161,7 @@ impl Association<'_> {
         let tiles = TileMask::covering(self.mask);
         let view =
             View { camera: self.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-        let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+        let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
         let channels = Channels::new(*self);
         let summed = Summed { layers, bounds: Some(bounds), wanted: means.len() };
         rasterizer.sum_entries(&summed, &view, &channels, tape, sums);

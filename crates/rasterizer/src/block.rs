@@ -2,7 +2,8 @@
 //! instruction set.
 
 use crate::elementary::sigmoid;
-use crate::projection::{Extent, PinholeF32, Splat, offset, splat};
+use crate::pinhole::PinholeF32;
+use crate::projection::{Extent, Splat, offset, splat};
 use ffgs_core::{Gaussians, PixelFilter};
 use glam::Vec3;
 

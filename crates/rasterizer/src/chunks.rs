@@ -2,7 +2,8 @@
 
 use crate::constants::PIXEL_FILTER;
 use crate::elementary::exp;
-use crate::projection::{MAX_REACH, PinholeF32};
+use crate::pinhole::PinholeF32;
+use crate::projection::MAX_REACH;
 use crate::tiles::{TileGrid, TileMask, tile_range};
 use ffgs_core::Gaussians;
 use glam::DVec3;
@@ -172,7 +173,8 @@ mod tests {
             let pose = turn * DMat4::from_translation(DVec3::new(0.0, 0.0, 0.1 * f64::from(step)));
             let camera = Camera::new(intrinsics, pose, size).unwrap();
             let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles };
-            let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+            let rasterizer =
+                CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
             rasterizer.prepare(&[&gaussians], &view, &mut all);
             rasterizer.prepare_within(&[&gaussians], Some(&bounds), &view, &mut some);
             assert!(all.visible() > 0);

@@ -6,7 +6,8 @@ use crate::chunks::{Chunk, ChunkBounds, chunks_of};
 use crate::compose::compose;
 use crate::constants::MIN_TRANSMITTANCE;
 use crate::coverage::cover;
-use crate::projection::{PinholeF32, Splat, active_degree, view_colour};
+use crate::pinhole::PinholeF32;
+use crate::projection::{Splat, active_degree, view_colour};
 use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
 use crate::tile_lists::Entry;
 use crate::tiles::{TileGrid, TileMask};
@@ -77,7 +78,7 @@ impl CpuRasterizer {
         let size = view.camera.size();
         let shared = Projection {
             options: self.options,
-            camera: PinholeF32::from(view.camera),
+            camera: PinholeF32::new(view.camera, self.options),
             size: [size.width as f32, size.height as f32],
             grid: tape.grid,
             mask: view.tiles,

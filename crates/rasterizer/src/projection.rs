@@ -1,53 +1,16 @@
 //! EWA projection of one Gaussian: shared by the forward and the backward pass, which loop over blocks of Gaussians.
 
-use crate::constants::{FRUSTUM_MARGIN, MIN_ALPHA, MIN_COMPENSATION, NEAR, PIXEL_FILTER};
+use crate::constants::{MIN_ALPHA, MIN_COMPENSATION, NEAR};
 use crate::elementary::{exp, ln};
+use crate::expansion::Expansion;
+use crate::pinhole::PinholeF32;
 use crate::spherical_harmonics;
 use crate::view::RenderOptions;
-use ffgs_core::{Camera, Gaussians, PixelFilter, sh_coefficients};
+use ffgs_core::{Gaussians, PixelFilter, sh_coefficients};
 use glam::{DVec3, Mat3, Vec3};
 
 /// Standard deviations at which even an opaque splat falls below [`MIN_ALPHA`], `sqrt(2 ln 255)` rounded up.
 pub(crate) const MAX_REACH: f32 = 3.33;
-
-/// A camera in the rasterizer's precision; positions are taken relative to the centre in f64 first, so that
-/// city-scale coordinates lose nothing.
-pub(crate) struct PinholeF32 {
-    pub(crate) rotation: Mat3,
-    pub(crate) center: DVec3,
-    pub(crate) focal: [f32; 2],
-    pub(crate) principal: [f32; 2],
-    /// Slopes x/z, y/z of the widened frustum's sides.
-    pub(crate) low: [f32; 2],
-    pub(crate) high: [f32; 2],
-    /// Variance of the pixel filter (px^2).
-    pub(crate) filter: f32,
-}
-
-/// Variance of the pixel filter (px^2). A pixel of a reduced photograph is the mean over a block of pixels, each of which has
-/// the filter of 3D Gaussian Splatting: so a reduced render is what the whole one would be, reduced.
-pub fn pixel_filter(camera: &Camera) -> f32 {
-    let side = camera.reduction() as f32;
-    (PIXEL_FILTER + (side * side - 1.0) / 12.0) / (side * side)
-}
-
-impl From<&Camera> for PinholeF32 {
-    fn from(camera: &Camera) -> Self {
-        let (k, size) = (camera.intrinsics(), camera.size());
-        let (w, h) = (size.width as f32, size.height as f32);
-        let (focal, principal) = ([k.fx as f32, k.fy as f32], [k.cx as f32, k.cy as f32]);
-        let margin = [0.5 * FRUSTUM_MARGIN * w / focal[0], 0.5 * FRUSTUM_MARGIN * h / focal[1]];
-        Self {
-            rotation: camera.rotation().as_mat3(),
-            center: camera.center(),
-            focal,
-            principal,
-            low: [-principal[0] / focal[0] - margin[0], -principal[1] / focal[1] - margin[1]],
-            high: [(w - principal[0]) / focal[0] + margin[0], (h - principal[1]) / focal[1] + margin[1]],
-            filter: pixel_filter(camera),
-        }
-    }
-}
 
 /// A projected Gaussian, ready to blend: one cache line.
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,7 +24,7 @@ pub(crate) struct Splat {
     pub(crate) opacity: f32,
     /// Colour, clamped at 0.
     pub(crate) colour: [f32; 3],
-    /// Camera z (m).
+    /// Camera z of the point where the projection is linearised (m).
     pub(crate) depth: f32,
     /// Largest exponent `sigma` at which the splat still contributes.
     pub(crate) reach: f32,
@@ -105,9 +68,11 @@ impl Ridge {
 
 /// Everything of the projection that the backward pass needs again.
 pub(crate) struct Ewa {
-    /// Position in the camera (m).
-    pub(crate) point: Vec3,
-    /// Clamped x/z, y/z.
+    /// Where the projection is linearised.
+    pub(crate) expansion: Expansion,
+    /// Centre (px), relative to the principal point.
+    pub(crate) mean: [f32; 2],
+    /// Clamped x/z, y/z of that point.
     pub(crate) slope: [f32; 2],
     /// Whether the clamp acted.
     pub(crate) clamped: [bool; 2],
@@ -169,25 +134,32 @@ pub(crate) fn offset(mean: [f32; 3], center: DVec3) -> Vec3 {
 )]
 #[inline(always)]
 pub(crate) fn ewa(offset: Vec3, quat: [f32; 4], log_scales: [f32; 3], camera: &PinholeF32) -> Ewa {
-    let point = camera.rotation * offset;
-    let (sx, sy) = (point.x / point.z, point.y / point.z);
-    let slope = [sx.max(camera.low[0]).min(camera.high[0]), sy.max(camera.low[1]).min(camera.high[1])];
-    let (fx, fy) = (camera.focal[0] / point.z, camera.focal[1] / point.z);
-    let jacobian = [Vec3::new(fx, 0.0, -fx * slope[0]), Vec3::new(0.0, fy, -fy * slope[1])];
-    let back = camera.rotation.transpose();
-    let to_pixels = [back * jacobian[0], back * jacobian[1]];
     let rotation = rotation_of(normalised(quat).0);
     let scales = Vec3::new(exp(log_scales[0]), exp(log_scales[1]), exp(log_scales[2]));
     let shape =
         Mat3::from_cols(rotation.x_axis * scales.x, rotation.y_axis * scales.y, rotation.z_axis * scales.z);
+    let centre = camera.rotation * offset;
+    let expansion = Expansion::new(centre, shape, camera);
+    let point = expansion.point;
+    let (sx, sy) = (point.x / point.z, point.y / point.z);
+    let slope = [sx.max(camera.low[0]).min(camera.high[0]), sy.max(camera.low[1]).min(camera.high[1])];
+    let (fx, fy) = (camera.focal[0] / point.z, camera.focal[1] / point.z);
+    let jacobian = [Vec3::new(fx, 0.0, -fx * slope[0]), Vec3::new(0.0, fy, -fy * slope[1])];
+    let mean = [
+        camera.focal[0] * sx + jacobian[0].dot(expansion.rest),
+        camera.focal[1] * sy + jacobian[1].dot(expansion.rest),
+    ];
+    let back = camera.rotation.transpose();
+    let to_pixels = [back * jacobian[0], back * jacobian[1]];
     let across = shape.transpose();
     let axes = [across * to_pixels[0], across * to_pixels[1]];
     let covariance = [axes[0].dot(axes[0]), axes[0].dot(axes[1]), axes[1].dot(axes[1])];
     let clamped = [sx != slope[0], sy != slope[1]];
     // A sum is finite only if every part is.
     let sum = point.x.abs() + point.y.abs() + point.z + covariance[0] + covariance[1].abs() + covariance[2];
-    let valid = (point.z >= NEAR * scales.x.max(scales.y).max(scales.z)) & (sum < f32::INFINITY);
-    Ewa { point, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance, valid }
+    let nearest = NEAR * scales.x.max(scales.y).max(scales.z);
+    let valid = (centre.z >= nearest) & (point.z >= nearest) & (sum < f32::INFINITY);
+    Ewa { expansion, mean, slope, clamped, jacobian, to_pixels, scales, shape, axes, covariance, valid }
 }
 
 /// Applies the pixel filter of the camera to a projected covariance.
@@ -245,16 +217,13 @@ pub(crate) fn splat(
     let ewa = ewa(offset, quat, log_scales, camera);
     let filtered = filter(&ewa, camera, kind);
     let opacity = bare * filtered.compensation;
-    let mean = [
-        camera.focal[0] * ewa.point.x / ewa.point.z + camera.principal[0],
-        camera.focal[1] * ewa.point.y / ewa.point.z + camera.principal[1],
-    ];
+    let mean = [ewa.mean[0] + camera.principal[0], ewa.mean[1] + camera.principal[1]];
     let a = filtered.conic[0];
     let mut splat = Splat {
         mean,
         conic: filtered.conic,
         opacity,
-        depth: ewa.point.z,
+        depth: ewa.expansion.point.z,
         reach: ln(255.0 * opacity),
         shrink: 1.0 / (filtered.determinants[1] * a * a),
         ..Splat::default()

@@ -3,7 +3,8 @@
 use crate::block::{BLOCK, Block, Column};
 use crate::constants::ENTRY;
 use crate::gradients::Gradients;
-use crate::projection::{self, Ewa, PinholeF32};
+use crate::pinhole::PinholeF32;
+use crate::projection::{self, Ewa};
 use crate::spherical_harmonics as sh;
 use crate::tape::RenderTape;
 use crate::view::{RenderOptions, View};
@@ -23,10 +24,9 @@ struct BlockGradients {
     log_scale: [Column; 3],
     opacity_logit: Column,
     /// With respect to the camera-space position: what the pose needs.
-    point: [Column; 3],
-    /// With respect to the rows of Jacobian times camera rotation, and these rows of the Jacobian.
-    to_pixels: [[Column; 3]; 2],
-    jacobian: [[Column; 3]; 2],
+    centre: [Column; 3],
+    /// With respect to the camera's rotation, but for that of the position: pairs of outer products, camera axes with world axes.
+    rotation: [[[Column; 3]; 2]; 4],
     /// 0 where the Gaussian has no derivative.
     valid: Column,
 }
@@ -60,7 +60,7 @@ pub(crate) fn to_parameters(
     let tape = &*tape;
     let context = Context {
         gaussians,
-        camera: PinholeF32::from(view.camera),
+        camera: PinholeF32::new(view.camera, options),
         options,
         degree: projection::active_degree(gaussians, options),
         half_size: [view.camera.size().width as f32 * 0.5, view.camera.size().height as f32 * 0.5],
@@ -279,15 +279,15 @@ impl Context<'_> {
             let compensation = compensation_gradient(&filtered, ewa.covariance, free, e[5][k] * alpha);
             let shape = shape_gradient(&ewa, camera, &footprint, compensation, [e[0][k], e[1][k]]);
             let d_quat = rotation_gradient(quat, &ewa, &shape.shape);
-            let mean = camera.rotation.transpose() * shape.point;
+            let mean = camera.rotation.transpose() * shape.centre;
             for a in 0..3 {
                 out.mean[a][k] = mean[a] + input.from_direction[a][k];
                 out.log_scale[a][k] = shape.log_scales[a];
-                out.point[a][k] = shape.point[a];
-                out.to_pixels[0][a][k] = shape.to_pixels[0][a];
-                out.to_pixels[1][a][k] = shape.to_pixels[1][a];
-                out.jacobian[0][a][k] = ewa.jacobian[0][a];
-                out.jacobian[1][a][k] = ewa.jacobian[1][a];
+                out.centre[a][k] = shape.centre[a];
+                for (columns, pair) in out.rotation.iter_mut().zip(&shape.rotation) {
+                    columns[0][a][k] = pair.0[a];
+                    columns[1][a][k] = pair.1[a];
+                }
             }
             for a in 0..4 {
                 out.quat[a][k] = d_quat[a];
@@ -304,13 +304,13 @@ impl Context<'_> {
         let vector = |v: &[Column; 3]| DVec3::new(f64::from(v[0][k]), f64::from(v[1][k]), f64::from(v[2][k]));
         let rotation = self.camera.rotation.as_dmat3();
         let [x, y, z] = self.gaussians.means[i];
-        let (mean, point) = (DVec3::new(f64::from(x), f64::from(y), f64::from(z)), vector(&d.point));
+        let (mean, centre) = (DVec3::new(f64::from(x), f64::from(y), f64::from(z)), vector(&d.centre));
         let direction = direction.as_dvec3();
-        pose.rotation += outer(point, mean) - outer(rotation * self.camera.center, direction);
-        for row in 0..2 {
-            pose.rotation += outer(vector(&d.jacobian[row]), vector(&d.to_pixels[row]));
+        pose.rotation += outer(centre, mean) - outer(rotation * self.camera.center, direction);
+        for [in_camera, in_world] in &d.rotation {
+            pose.rotation += outer(vector(in_camera), vector(in_world));
         }
-        pose.translation += point + rotation * direction;
+        pose.translation += centre + rotation * direction;
     }
 }
 
@@ -373,13 +373,13 @@ fn compensation_gradient(f: &projection::Filtered, raw: [f32; 3], free: bool, up
 /// Derivatives with respect to the pieces of the EWA projection.
 struct ShapeGradient {
     /// With respect to the camera-space position.
-    point: Vec3,
+    centre: Vec3,
     /// With respect to `rotation * diag(scales)`.
     shape: Mat3,
     /// With respect to the log scales.
     log_scales: Vec3,
-    /// With respect to the rows of Jacobian times camera rotation.
-    to_pixels: [Vec3; 2],
+    /// With respect to the camera's rotation, but for that of the position: pairs of outer products, camera axes with world axes.
+    rotation: [(Vec3, Vec3); 4],
 }
 
 #[inline(always)]
@@ -405,17 +405,36 @@ fn shape_gradient(
         p * d_axes[0].z + q * d_axes[1].z,
     );
     let to_pixels = [ewa.shape * d_axes[0], ewa.shape * d_axes[1]];
-    let rows = [camera.rotation * to_pixels[0], camera.rotation * to_pixels[1]];
-    let (dx, x_by_z) = axis_gradient(ewa, camera.focal[0], 0, [rows[0].x, rows[0].z, mean2d[0], ewa.point.x]);
-    let (dy, y_by_z) = axis_gradient(ewa, camera.focal[1], 1, [rows[1].y, rows[1].z, mean2d[1], ewa.point.y]);
-    ShapeGradient { point: Vec3::new(dx, dy, x_by_z + y_by_z), shape, log_scales, to_pixels }
+    let expansion = &ewa.expansion;
+    let [mx, my] = mean2d;
+    let rows = [
+        camera.rotation * to_pixels[0] + expansion.rest * mx,
+        camera.rotation * to_pixels[1] + expansion.rest * my,
+    ];
+    let point = expansion.point;
+    let (dx, x_by_z) = axis_gradient(ewa, camera.focal[0], 0, [rows[0].x, rows[0].z, mx, point.x]);
+    let (dy, y_by_z) = axis_gradient(ewa, camera.focal[1], 1, [rows[1].y, rows[1].z, my, point.y]);
+    let d_rest = ewa.jacobian[0] * mx + ewa.jacobian[1] * my;
+    let moved = expansion.gradient(Vec3::new(dx, dy, x_by_z + y_by_z), d_rest, ewa.shape, camera);
+    let stretched = Vec3::new(
+        ewa.shape.x_axis.dot(moved.shape.x_axis),
+        ewa.shape.y_axis.dot(moved.shape.y_axis),
+        ewa.shape.z_axis.dot(moved.shape.z_axis),
+    );
+    let [first, second] = moved.rotation;
+    ShapeGradient {
+        centre: moved.centre,
+        shape: shape + moved.shape,
+        log_scales: log_scales + stretched,
+        rotation: [(ewa.jacobian[0], to_pixels[0]), (ewa.jacobian[1], to_pixels[1]), first, second],
+    }
 }
 
 /// Derivatives with respect to one image axis' coordinate and z of the camera-space position, given those with respect
 /// to the two entries of the Jacobian's row (f/z on the axis, -f slope / z along the optical axis) and to the mean.
 #[inline(always)]
 fn axis_gradient(ewa: &Ewa, f: f32, axis: usize, [on, along, mean, at]: [f32; 4]) -> (f32, f32) {
-    let inverse = 1.0 / ewa.point.z;
+    let inverse = 1.0 / ewa.expansion.point.z;
     let (first, second) = (f * inverse, f * inverse * inverse);
     let through_slope = second * ewa.slope[axis] * along;
     let free = if ewa.clamped[axis] { 0.0 } else { 1.0 };

@@ -41,4 +41,7 @@ pub struct RenderOptions {
     pub sh_degree: Option<usize>,
     /// Gaussians that are left out by chance; `None` = none.
     pub dropout: Option<Dropout>,
+    /// Whether the projection is linear around the centres of all Gaussians, as in EWA splatting, also of those that lie outside
+    /// the frustum: what stands beside the camera then veils the image (docs/adr/0064-projections-are-linear-where-they-are-seen.md).
+    pub at_centres: bool,
 }

@@ -45,7 +45,7 @@ fn the_heaviest_contributors_are_those_of_the_lists() {
     let fields = [field(0.1), field(-0.3)];
 
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let top = rasterizer.top_contributors(&gaussians, &view, CONTRIBUTORS, &mut RenderTape::default());
     let projected: Vec<DVec2> = means.iter().map(|&m| camera.project(m).unwrap().pixel).collect();
     let (indices, weights, count) = (&top.indices, &top.weights, top.count);

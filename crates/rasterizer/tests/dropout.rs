@@ -29,7 +29,7 @@ fn both_passes(layer: &Gaussians, dropout: Option<Dropout>) -> (RenderTape, Grad
     let intrinsics = Intrinsics { fx: 40.0, fy: 40.0, cx: 30.0, cy: 20.0 };
     let camera = Camera::new(intrinsics, DMat4::IDENTITY, SIZE).unwrap();
     let view = View { camera: &camera, background: Background::Colour([0.2, 0.5, 0.9]), tiles: None };
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: None, dropout });
+    let rasterizer = CpuRasterizer::new(RenderOptions { dropout, ..RenderOptions::default() });
     let mut upstream = PlanarImage::zeros(SIZE);
     upstream.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (i as f32 * 0.1).sin());
     let (mut tape, mut gradients) = (RenderTape::default(), Gradients::default());

@@ -45,7 +45,8 @@ impl Case {
         let size = ImageSize { width: scalar("width") as usize, height: scalar("height") as usize };
         let pose = DMat4::from_cols_slice(&file.f64("in_viewmat").unwrap().data).transpose();
         let background = f32s("in_background").data;
-        let options = RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), dropout: None };
+        let options =
+            RenderOptions { sh_degree: Some(scalar("sh_degree") as usize), ..RenderOptions::default() };
         let camera = Camera::new(intrinsics, pose, size).unwrap();
         Self { gaussians, camera, background: [background[0], background[1], background[2]], options, file }
     }

@@ -102,7 +102,7 @@ fn find_seeds(
 fn depths(layer: &Gaussians, view: &TrainingView) -> Vec<f32> {
     let (tiles, background) = (TileMask::covering(&view.mask), Background::Colour([0.0; 3]));
     let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
-    let options = RenderOptions { sh_degree: Some(0), dropout: None };
+    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
     let top = CpuRasterizer::new(options).top_contributors(layer, &frame, 1, &mut RenderTape::default());
     let depth = |&i: &i32| -> Option<f32> {
         let place = Vec3::from(*layer.means.get(usize::try_from(i).ok()?)?);

@@ -8,7 +8,7 @@ use crate::target::{Selection, Target};
 use crate::workspace::{OPTIONS, Workspace, largest_view, shared_layers};
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Commands, GpuError};
-use ffgs_rasterizer::{Dropout, RenderOptions};
+use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
 use ffgs_trainer::{
     Around, Columns, GradientSums, IndexMap, LayerTask, LayerTraining, LearningRates, Progress, Revision,
@@ -135,18 +135,12 @@ fn targets(around: &Around, workspace: &Workspace, views: &[TaskView]) -> Result
 impl Training for GpuLayer<'_> {
     type Error = GpuError;
 
-    fn forward(
-        &mut self,
-        view: usize,
-        sh_degree: Option<usize>,
-        dropout: Option<Dropout>,
-    ) -> Result<(), GpuError> {
+    fn forward(&mut self, view: usize, options: RenderOptions) -> Result<(), GpuError> {
         self.stamp += 1;
         self.at = view;
         let mut commands = self.recording();
         let Self { workspace, optimiser, targets, .. } = self;
         let (scene, target) = (&optimiser.scene, &targets[view]);
-        let options = RenderOptions { sh_degree, dropout };
         prepare(workspace.gpu, scene, &target.view, &workspace.scratch, options, self.stamp);
         self.around.draw(&mut commands, target);
         render(&mut commands, scene, &target.view, &workspace.scratch);

@@ -13,7 +13,7 @@ use ffgs_trainer::{Progress, TaskView};
 const REPORT_EVERY: usize = 64;
 
 /// How training draws, but for the SH degree of the first frame.
-pub(crate) const OPTIONS: RenderOptions = RenderOptions { sh_degree: None, dropout: None };
+pub(crate) const OPTIONS: RenderOptions = RenderOptions { sh_degree: None, dropout: None, at_centres: false };
 
 /// What the steps of a lane share besides the Gaussians.
 pub(crate) struct Workspace<'a> {

@@ -5,7 +5,7 @@ use crate::adam::{Columns, LearningRates};
 use crate::density_control::{GradientSums, IndexMap};
 use crate::{Prior, Progress};
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
-use ffgs_rasterizer::{Dropout, TileMask};
+use ffgs_rasterizer::{RenderOptions, TileMask};
 use std::sync::Arc;
 
 /// A device that trains.
@@ -40,17 +40,11 @@ pub trait Training {
     /// What can go wrong in a step.
     type Error;
 
-    /// Draws a view with colours of at most `sh_degree`, without the Gaussians of a `dropout`, and differentiates the loss
-    /// by its pixels.
+    /// Draws a view with `options`, and differentiates the loss by its pixels.
     ///
     /// # Errors
     /// When the device fails.
-    fn forward(
-        &mut self,
-        view: usize,
-        sh_degree: Option<usize>,
-        dropout: Option<Dropout>,
-    ) -> Result<(), Self::Error>;
+    fn forward(&mut self, view: usize, options: RenderOptions) -> Result<(), Self::Error>;
 
     /// Differentiates by what is trained, and adds the derivatives of the terms of the loss that are not photometric.
     ///

@@ -74,7 +74,7 @@ impl Sight {
 
 /// Depth of the surface in every pixel (m); 0 where there is none.
 fn depths(gaussians: &Gaussians, camera: &Camera) -> Vec<f32> {
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
     let top = rasterizer.top_contributors(gaussians, &view, CONTRIBUTIONS, &mut RenderTape::default());
     let depth_of = |index: i32| {

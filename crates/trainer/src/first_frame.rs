@@ -130,6 +130,8 @@ pub fn train_first_frame<B: TrainBackend>(
         iterations: config.iterations,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
         dropout: config.dropout,
+        // What stands beside a camera veils its photograph, and is thereby kept away from the cameras (docs/adr/0064).
+        at_centres: true,
         rates: &|iteration| rates(config, iteration, extent),
     };
     schedule.run(

@@ -3,7 +3,7 @@
 use crate::adam::LearningRates;
 use crate::backend::Training;
 use crate::view::Progress;
-use ffgs_rasterizer::Dropout;
+use ffgs_rasterizer::{Dropout, RenderOptions};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -47,6 +47,8 @@ pub struct Schedule<'a> {
     pub sh_degree: &'a dyn Fn(usize) -> Option<usize>,
     /// Share of the Gaussians that each step leaves out.
     pub dropout: f32,
+    /// Whether every projection is linear around the centre ([`RenderOptions::at_centres`]).
+    pub at_centres: bool,
     /// Step sizes at a step.
     pub rates: &'a dyn Fn(usize) -> LearningRates,
 }
@@ -54,11 +56,27 @@ pub struct Schedule<'a> {
 impl Default for Schedule<'_> {
     /// No steps; with all SH coefficients, and without dropout.
     fn default() -> Self {
-        Self { iterations: 0, sh_degree: &|_| None, dropout: 0.0, rates: &|_| LearningRates::default() }
+        Self {
+            iterations: 0,
+            sh_degree: &|_| None,
+            dropout: 0.0,
+            at_centres: false,
+            rates: &|_| LearningRates::default(),
+        }
     }
 }
 
 impl Schedule<'_> {
+    /// How a step renders.
+    fn options(&self, iteration: usize) -> RenderOptions {
+        let dropout = Dropout { share: self.dropout, draw: iteration as u32 };
+        RenderOptions {
+            sh_degree: (self.sh_degree)(iteration),
+            dropout: (self.dropout > 0.0).then_some(dropout),
+            at_centres: self.at_centres,
+        }
+    }
+
     /// Takes the steps, over `views`. `after` is called with the number of steps done, for what comes between two of them.
     ///
     /// # Errors
@@ -72,9 +90,7 @@ impl Schedule<'_> {
     ) -> Result<(), T::Error> {
         for iteration in 0..self.iterations {
             let Some(view) = views.draw() else { break };
-            let dropout =
-                (self.dropout > 0.0).then_some(Dropout { share: self.dropout, draw: iteration as u32 });
-            training.forward(view, (self.sh_degree)(iteration), dropout)?;
+            training.forward(view, self.options(iteration))?;
             training.backward()?;
             training.step(&(self.rates)(iteration))?;
             after(iteration + 1, training)?;

@@ -79,7 +79,7 @@ pub(crate) fn shown(view: &TrainingView, gaussians: &Gaussians) -> Mask {
     let size = view.camera.size();
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
     let mut tape = RenderTape::default();
-    CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None })
+    CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() })
         .render(gaussians, &frame, &mut tape);
     let shown = tape.transmittance().iter().map(|t| u8::from(1.0 - t > SHOWN));
     Mask::new(size, shown.collect()).expect("one value per pixel")

@@ -151,7 +151,7 @@ fn picture<'a>(
     tape: &'a mut RenderTape,
 ) -> &'a PlanarImage {
     let view = View { camera, background: Background::Colour(behind), tiles: None };
-    let options = RenderOptions { sh_degree: Some(0), dropout: None };
+    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
     CpuRasterizer::new(options).render_layers(layers, &view, tape);
     tape.image()
 }

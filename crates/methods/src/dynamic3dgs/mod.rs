@@ -26,7 +26,7 @@ use crate::saved::{Reader, Writer};
 use anyhow::{Result, ensure};
 use ffgs_core::{Gaussians, SH_C0, Scene, StageLog};
 use ffgs_method::{Finetuning, MotionMethod, Step};
-use ffgs_rasterizer::{Dropout, Gradients};
+use ffgs_rasterizer::{Gradients, RenderOptions};
 use ffgs_trainer::{Adam, LearningRates, Schedule, Training, Update, camera_extent};
 use glam::{DVec3, Quat, Vec3};
 use segmentation::Segmentation;
@@ -261,7 +261,7 @@ struct Frame<'a> {
 impl Training for Frame<'_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: RenderOptions) -> Result<()> {
         self.photographs.forward(view, self.gaussians).map(|_| ())
     }
 

@@ -6,7 +6,7 @@ use crate::photographs::{Photographs, frame_seed, view_order};
 use anyhow::Result;
 use ffgs_core::Gaussians;
 use ffgs_method::Step;
-use ffgs_rasterizer::{Dropout, Gradients};
+use ffgs_rasterizer::{Gradients, RenderOptions};
 use ffgs_trainer::{DensityControl, GradientSums, LearningRates, Schedule, Training, camera_extent, decay};
 
 /// A frame under training.
@@ -79,7 +79,7 @@ impl<'a, 'b, 'v> Frame<'a, 'b, 'v> {
 impl Training for Frame<'_, '_, '_> {
     type Error = anyhow::Error;
 
-    fn forward(&mut self, view: usize, _: Option<usize>, _: Option<Dropout>) -> Result<()> {
+    fn forward(&mut self, view: usize, _: RenderOptions) -> Result<()> {
         if self.steps == (self.config.epochs as f32 * self.config.masked).ceil() as usize * self.views {
             self.photographs.masks.clear();
         }

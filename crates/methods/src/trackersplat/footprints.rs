@@ -65,7 +65,7 @@ pub(super) fn footprints(gaussians: &Gaussians, camera: &Camera, motion: &DenseM
     let planes = planes(motion, centre);
     let channels: Vec<&[f32]> = planes.iter().map(Vec::as_slice).collect();
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
     rasterizer.accumulate(gaussians, &view, &channels, &mut tape, &mut sums);
     let of = |i: usize| {

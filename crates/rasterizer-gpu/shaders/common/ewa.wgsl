@@ -9,14 +9,17 @@ const NEAR: f32 = 0.01;
 const MAX_EXPONENT: f32 = 80.0;
 
 struct Ewa {
-    // Position in the camera (m).
-    point: vec3f,
+    // Where the projection is linearised.
+    expansion: Expansion,
+    // Centre (px), relative to the principal point.
+    mean: vec2f,
     // Position relative to the camera's centre (m, world axes).
     offset: vec3f,
-    // Clamped x/z, y/z, and whether the clamp acted.
+    // Clamped x/z, y/z of that point, and whether the clamp acted.
     slope: vec2f,
     clamped: vec2<bool>,
-    // Rows of the projection's Jacobian times the camera's rotation.
+    // Rows of the projection's Jacobian, and these times the camera's rotation.
+    jacobian: array<vec3f, 2>,
     to_pixels: array<vec3f, 2>,
     // Standard deviations (m).
     scales: vec3f,
@@ -71,21 +74,28 @@ fn project_shape(g: Geometry) -> Ewa {
     var e: Ewa;
     let rotation = camera_rotation();
     e.offset = (g.mean - view.center_high) - view.center_low;
-    e.point = rotation * e.offset;
+    let centre = rotation * e.offset;
     e.scales = exp(clamp(g.log_scale, vec3f(-MAX_EXPONENT), vec3f(MAX_EXPONENT)));
     let nearest = NEAR * max(e.scales.x, max(e.scales.y, e.scales.z));
-    if !(is_number(g) && e.point.z >= nearest && all_finite(e.point)) {
+    if !(is_number(g) && centre.z >= nearest && all_finite(centre)) {
         return e;
     }
-    let raw = e.point.xy / e.point.z;
-    e.slope = clamp(raw, view.slope_low, view.slope_high);
-    e.clamped = raw != e.slope;
-    let f = view.focal / e.point.z;
-    let world_from_camera = transpose(rotation);
-    e.to_pixels[0] = world_from_camera * vec3f(f.x, 0.0, -f.x * e.slope.x);
-    e.to_pixels[1] = world_from_camera * vec3f(0.0, f.y, -f.y * e.slope.y);
     let turn = rotation_of(unit_quaternion(g.quat));
     e.shape = mat3x3f(turn[0] * e.scales.x, turn[1] * e.scales.y, turn[2] * e.scales.z);
+    e.expansion = expansion_of(centre, e.shape, rotation);
+    let point = e.expansion.point;
+    if !(point.z >= nearest && all_finite(point)) {
+        return e;
+    }
+    let raw = point.xy / point.z;
+    e.slope = clamp(raw, view.slope_low, view.slope_high);
+    e.clamped = raw != e.slope;
+    let f = view.focal / point.z;
+    e.jacobian[0] = vec3f(f.x, 0.0, -f.x * e.slope.x);
+    e.jacobian[1] = vec3f(0.0, f.y, -f.y * e.slope.y);
+    e.mean = view.focal * raw + vec2f(dot(e.jacobian[0], e.expansion.rest), dot(e.jacobian[1], e.expansion.rest));
+    e.to_pixels[0] = e.jacobian[0] * rotation;
+    e.to_pixels[1] = e.jacobian[1] * rotation;
     e.axes[0] = e.to_pixels[0] * e.shape;
     e.axes[1] = e.to_pixels[1] * e.shape;
     e.covariance = vec3f(dot(e.axes[0], e.axes[0]), dot(e.axes[0], e.axes[1]), dot(e.axes[1], e.axes[1]));

@@ -10,7 +10,7 @@ struct View {
     sh_degree: u32,
     focal: vec2f,
     principal: vec2f,
-    // Bounds of x/z, y/z at which the Jacobian is evaluated.
+    // Bounds of x/z, y/z at which a projection is linearised.
     slope_low: vec2f,
     slope_high: vec2f,
     size: vec2u,
@@ -33,7 +33,8 @@ struct View {
     dropout_gain: f32,
     // Variance added to the projected covariance (px^2).
     pixel_filter: f32,
-    padding: u32,
+    // Factor of distances from the frustum: 0 where every projection is linear around the centre, else 1.
+    beyond: f32,
 }
 
 // A Gaussian's parameters other than its colour; also their gradients and moments.
@@ -49,7 +50,7 @@ struct Geometry {
 struct Splat {
     // Centre (px).
     mean: vec2f,
-    // Camera z (m).
+    // Camera z of the point where the projection is linearised (m).
     depth: f32,
     // Antialiasing compensation included.
     opacity: f32,

@@ -58,7 +58,8 @@ fn motion(gpu: &Gpu, layer: &Gaussians, view: &TrainingView, rows: &mut Rows) ->
     let tiles = TileMask::covering(&view.mask);
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
     let scene = GpuScene::upload(gpu, layer)?;
-    let mut rasterizer = GpuRasterizer::new(gpu, RenderOptions { sh_degree: Some(0), dropout: None })?;
+    let mut rasterizer =
+        GpuRasterizer::new(gpu, RenderOptions { sh_degree: Some(0), ..RenderOptions::default() })?;
     let seconds = rows
         .try_time(|| Ok(rasterizer.accumulate_planes(&scene, &frame, &planes, layer.len()).map(drop)?))?;
     rows.add(&case("gpu/association"), seconds, None);
@@ -93,7 +94,7 @@ fn prior(device: &SceneDevice, layer: &Gaussians, view: &TrainingView, rows: &mu
         let backend = GpuBackend(device);
         let mut training = backend.upload_layer(task)?;
         for _ in 0..STEPS {
-            training.forward(0, None, None)?;
+            training.forward(0, RenderOptions::default())?;
             training.backward()?;
             training.step(&LearningRates::with_means(1e-5))?;
         }

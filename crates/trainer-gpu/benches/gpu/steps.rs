@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation over spacing, as trained scenes have it and as in the CPU's cases.
 const SPREAD: f32 = 0.45;
-const OPTIONS: RenderOptions = RenderOptions { sh_degree: None, dropout: None };
+const OPTIONS: RenderOptions = RenderOptions { sh_degree: None, dropout: None, at_centres: false };
 const PARTS: [(&str, Part); 5] = [
     ("forward", Part::Forward),
     ("loss", Part::Loss),

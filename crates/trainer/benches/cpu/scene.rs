@@ -73,7 +73,7 @@ pub(crate) fn contributions(gaussians: &Gaussians, camera: &Camera, tiles: Optio
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles };
     let ones = vec![1.0; camera.size().pixels()];
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     rasterizer.accumulate(gaussians, &view, &[&ones], &mut tape, &mut sums);
     (0..gaussians.len()).map(|i| u64::from(sums.hits(i))).sum()
 }

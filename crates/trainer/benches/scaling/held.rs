@@ -26,7 +26,7 @@ const PAIR: usize = 8 + 4 + 36;
 fn tape(gaussians: &Gaussians, camera: &Camera, tiles: Option<&TileMask>) -> usize {
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles };
     let mut tape = RenderTape::default();
-    let options = RenderOptions { sh_degree: Some(0), dropout: None };
+    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
     CpuRasterizer::new(options).render(gaussians, &view, &mut tape);
     tape.visible() * SPLAT + tape.tile_pairs() * PAIR
 }
@@ -60,7 +60,7 @@ pub(crate) fn static_solve(layer: &Gaussians, size: ImageSize, views: usize) -> 
     const VECTORS: usize = 5;
     let camera = camera(size, 0.0);
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let top: TopContributors =
         rasterizer.top_contributors(layer, &view, CONTRIBUTORS, &mut RenderTape::default());
     let mut seen = vec![false; layer.len()];

@@ -103,9 +103,8 @@ pub fn train_newborn<B: TrainBackend>(
     };
     let schedule = Schedule {
         iterations: config.iterations,
-        sh_degree: &|_| None,
-        dropout: 0.0,
         rates: &|iteration| config.rates(iteration, extent),
+        ..Schedule::default()
     };
     train_subset(backend, &schedule, subset, seed, report)
 }

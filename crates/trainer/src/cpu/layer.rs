@@ -9,7 +9,7 @@ use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
 use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
-use ffgs_rasterizer::{Background, CpuRasterizer, Dropout, Gradients, RenderOptions, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
 
@@ -67,14 +67,9 @@ impl<'a> CpuLayer<'a> {
 impl Training for CpuLayer<'_> {
     type Error = Infallible;
 
-    fn forward(
-        &mut self,
-        index: usize,
-        sh_degree: Option<usize>,
-        dropout: Option<Dropout>,
-    ) -> Result<(), Infallible> {
+    fn forward(&mut self, index: usize, options: RenderOptions) -> Result<(), Infallible> {
         self.at = index;
-        self.rasterizer = CpuRasterizer::new(RenderOptions { sh_degree, dropout });
+        self.rasterizer = CpuRasterizer::new(options);
         let TaskView { view, region, tiles } = &self.views[index];
         self.around.aim(index, &view.camera);
         let background = Background::Image(self.around.behind());

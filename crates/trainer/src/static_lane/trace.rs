@@ -29,7 +29,7 @@ impl ViewTrace {
         let Tracing { contributors: count, stride, degree } = tracing;
         let on_lattice = lattice(camera.size().width, stride);
         let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
-        let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), dropout: None });
+        let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
         let top = rasterizer.top_contributors(layer, &view, count, &mut RenderTape::default());
         let mut place = vec![u32::MAX; layer.len()];
         let traced = || top.indices.chunks(count.max(1)).enumerate().filter(|(p, _)| on_lattice(*p));

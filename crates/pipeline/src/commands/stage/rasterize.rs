@@ -84,7 +84,7 @@ fn options(input: &Input, available: usize) -> Result<RenderOptions> {
     let degree = input.count("sh_degree")?;
     let what = format!("{degree}, but in_sh holds degree {available}");
     ensure!(degree <= available, input.fault("sh_degree", what));
-    Ok(RenderOptions { sh_degree: Some(degree), dropout: None })
+    Ok(RenderOptions { sh_degree: Some(degree), ..RenderOptions::default() })
 }
 
 /// Derivatives of the loss with respect to image and transmittance.
