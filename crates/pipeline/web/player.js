@@ -291,47 +291,15 @@ function median(values) {
 }
 
 /**
- * What a vertex shader of the engine computes before it projects a splat: the point `vp` around which the projection is linear. It
- * is the centre where that is in sight, and in what is seen of the splat where it is not (crates/rasterizer/src/expansion.rs has
- * the derivation). WGSL and GLSL differ in how they declare only.
- */
-const EXPANSION = [
-    ['vec2f', 'edge', '1.3 / abs(vec2f(center.projMat00, center.projMat11))'],
-    ['mat3x3f', 'turned', 'mat3x3f(center.modelView[0].xyz, center.modelView[1].xyz, center.modelView[2].xyz)'],
-    ['mat3x3f', 'spread', 'turned * Vrk * transpose(turned)'],
-    ['vec2f', 'slope', 'clamp(v.xy / v.z, -edge, edge)'],
-    ['vec2f', 'beyond', 'v.xy - slope * v.z'],
-    ['vec3f', 'sideX', 'vec3f(1.0, 0.0, -slope.x)'],
-    ['vec3f', 'sideY', 'vec3f(0.0, 1.0, -slope.y)'],
-    ['vec2f', 'variances', 'max(vec2f(dot(sideX, spread * sideX), dot(sideY, spread * sideY)), vec2f(1e-30))'],
-    ['vec2f', 'ratios', 'beyond * beyond * variances.yx'],
-    ['float', 'isX', 'step(ratios.y, ratios.x)'],
-    ['vec3f', 'side', 'mix(sideY, sideX, isX)'],
-    ['float', 'distance1', 'mix(beyond.y, beyond.x, isX)'],
-    ['float', 'variance', 'mix(variances.y, variances.x, isX)'],
-    ['float', 'further', '1.0 + 1.0 / (1.0 + distance1 * distance1 / variance)'],
-    ['vec3f', 'rest', 'spread * side * (distance1 / variance * further)'],
-    ['vec3f', 'vp', 'v - rest'],
-];
-
-/**
  * Draws splats as the reconstruction was trained: the engine measures them in half pixels, but widens them by 0.3 as others do in
  * whole ones; it cuts large ones off, and linearises the lens also far outside the picture.
  */
 function drawAsTrained(device) {
-    const language = device.isWebGPU ? pc.SHADERLANGUAGE_WGSL : pc.SHADERLANGUAGE_GLSL;
+    const [language, vec2] = device.isWebGPU ? [pc.SHADERLANGUAGE_WGSL, 'vec2f'] : [pc.SHADERLANGUAGE_GLSL, 'vec2'];
     const chunks = pc.ShaderChunks.get(device, language);
-    const inGlsl = (text) => text.replace(/mat3x3f/g, 'mat3').replace(/vec([23])f/g, 'vec$1');
-    const declare = ([type, name, value]) =>
-        device.isWebGPU ? `let ${name} = ${value};` : inGlsl(`${type} ${name} = ${value};`);
-    const shift = ['vec2f', 'shift', 'focal * v.xy / v.z - J1 * v.xy - J2 * rest.z'];
+    const edge = `1.3 / abs(${vec2}(center.projMat00, center.projMat11))`;
     const changes = [[/\+ 0\.3\b/g, '+ 1.2'],
-        [/\b(vec3|let) vp = .*;/, `${EXPANSION.map(declare).join('\n')}\nif (vp.z >= 0.0) { return false; }`],
-        [/-J1 \/ vp\.z \* vp\.xy/, '-J1 * clamp(vp.xy / vp.z, -edge, edge)'],
-        [/\b(vec2|let) J2 = .*;/, `$&\n${declare(shift)}`],
-        [/abs\(center\.proj\.xy\) -/, 'abs(center.proj.xy + shift * center.proj.ww * VIEWPORT) -'],
-        [/VIEWPORT/, device.isWebGPU ? 'uniform.viewport_size.zw' : 'viewport_size.zw'],
-        [/(cornerUV\.y\)? \* v2)\) \* c/, '$1 + shift) * c']];
+        [/-J1 \/ vp\.z \* vp\.xy/, `-J1 * clamp(vp.xy / vp.z, -${edge}, ${edge})`]];
     const change = (text, [from, to]) => {
         if (!text?.match(from)) throw new Error('this version of the engine is not the one that the page is written for');
         return text.replace(from, to);
