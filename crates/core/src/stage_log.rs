@@ -50,6 +50,14 @@ impl StageLog {
         }
     }
 
+    /// Counts as `what` those Gaussians that were counted as `before` and turned out not to be; at most as many as there were.
+    pub fn recount(&mut self, before: &str, what: &str, count: usize) {
+        let moved = self.changes.get(before).map_or(0, |&all| all.min(count as u64));
+        self.changes.entry(before.to_owned()).and_modify(|all| *all -= moved);
+        self.changes.retain(|_, all| *all > 0);
+        self.change(what, count);
+    }
+
     /// Adds a warning.
     pub fn warn(&mut self, warning: impl Into<String>) {
         self.warnings.push(warning.into());
@@ -74,11 +82,15 @@ mod tests {
         log.change("born", 0);
         log.change("faded", 4);
         log.change("faded", 1);
+        log.change("removed", 9);
+        log.recount("removed", "stopped", 7);
+        log.recount("removed", "stopped", 2);
+        log.recount("never", "stopped", 1);
         log.skip("empty", 0);
         log.skip("far", 2);
         log.skip("far", 1);
         assert!(log.seconds["fuse"] >= 2.0 && log.seconds.len() == 1);
-        assert_eq!(log.changes, BTreeMap::from([("faded".to_owned(), 5)]));
+        assert_eq!(log.changes, BTreeMap::from([("faded".to_owned(), 5), ("stopped".to_owned(), 10)]));
         assert_eq!(log.skips, BTreeMap::from([("far".to_owned(), 3)]));
     }
 }

@@ -29,3 +29,4 @@ pub use observe::observe;
 pub use standstill::Standstill;
 pub use tracker_motion::{TrackerMotion, move_by};
 pub use turn::turned;
+pub use validate::OUTSIDE_MASKS;

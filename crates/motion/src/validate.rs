@@ -8,6 +8,9 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
+/// What Gaussians are counted as that validation removes because the masks do not hold them.
+pub const OUTSIDE_MASKS: &str = "removed: outside the masks";
+
 /// Lines 35 to 40: Gaussians outside the masks are removed; with `marking.second_chance` when their neighbours' motion does not
 /// bring them inside either.
 pub(crate) fn validate_positions(
@@ -31,7 +34,7 @@ pub(crate) fn validate_positions(
     let kept: Vec<usize> = (0..means.len()).filter(|&i| valid[i] || wait[i] && shown[i]).collect();
     let unseen = shown.iter().filter(|shown| !**shown).count();
     log.change("removed: in no image", unseen);
-    log.change("removed: outside the masks", means.len() - kept.len() - unseen);
+    log.change(OUTSIDE_MASKS, means.len() - kept.len() - unseen);
     for (target, mean) in dynamic.gaussians.means.iter_mut().zip(&means) {
         *target = mean.as_vec3().to_array();
     }

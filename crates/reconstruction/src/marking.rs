@@ -12,6 +12,9 @@ use glam::{DMat3, DVec3};
 use std::sync::Arc;
 use std::time::Instant;
 
+/// What Gaussians are counted as that leave the dynamic layer for the static one.
+pub(crate) const STANDS_STILL: &str = "stands still";
+
 impl Reconstructor<'_> {
     /// Which Gaussians move, decided again by the masks of t-1.
     pub(crate) fn mark_again(&self, state: &mut State, log: &mut StageLog) -> Result<()> {
@@ -22,7 +25,7 @@ impl Reconstructor<'_> {
             static_lane.forget();
         }
         log.change("starts to move", started);
-        log.change("stands still", stopped);
+        log.change(STANDS_STILL, stopped);
         log.since(stage::MARKING, start);
         Ok(())
     }

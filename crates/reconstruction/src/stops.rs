@@ -2,11 +2,12 @@
 //! (docs/adr/0062-what-stops-stays.md).
 
 use crate::devices::Devices;
-use crate::marking::add_static;
+use crate::marking::{STANDS_STILL, add_static};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{Dynamic, Gaussians, ImageRgb8, PlanarImage, Scene, StageLog, TrainingView, stage};
 use ffgs_fusion::{GroupsConfig, spatial_objects};
+use ffgs_motion::OUTSIDE_MASKS;
 use ffgs_trainer::BackgroundConfig;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -36,7 +37,7 @@ impl Reconstructor<'_> {
         if stopped > 0 {
             state.static_lane.forget();
         }
-        log.change("stands still", stopped);
+        log.recount(OUTSIDE_MASKS, STANDS_STILL, stopped);
         log.since(stage::VALIDATION, start);
         Ok(())
     }
