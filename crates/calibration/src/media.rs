@@ -51,6 +51,13 @@ impl Media {
         names.iter().find_map(|name| self.named(name))
     }
 
+    /// The single image that is called by one of `names`.
+    pub fn image_of_camera(&self, names: &[String]) -> Option<Pictures> {
+        let images = || self.folders.values().flatten();
+        let named = |name: &String| images().find(|image| stem(image).eq_ignore_ascii_case(name));
+        names.iter().find_map(named).map(|image| Pictures::Files(vec![image.clone()]))
+    }
+
     fn named(&self, name: &str) -> Option<Pictures> {
         let fits = |path: &&PathBuf| stem(path).eq_ignore_ascii_case(name);
         let depth = |path: &&PathBuf| path.components().count();

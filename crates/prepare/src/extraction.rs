@@ -84,7 +84,9 @@ fn write(camera: &RigCamera, picture: &ImageRgb8, from: &Path, to: &Path) -> Res
     pictures::write_rgb(to, &camera.undistortion.apply(picture).0)
 }
 
-fn same_size(camera: &RigCamera, found: ImageSize, from: &Path) -> Result<(), PrepareError> {
+/// # Errors
+/// When a picture is not as large as the camera's first one.
+pub(crate) fn same_size(camera: &RigCamera, found: ImageSize, from: &Path) -> Result<(), PrepareError> {
     let expected = camera.undistortion.source_size();
     if found == expected {
         return Ok(());
@@ -96,23 +98,35 @@ fn same_size(camera: &RigCamera, found: ImageSize, from: &Path) -> Result<(), Pr
     Err(PrepareError::picture(from, reason))
 }
 
-/// Pictures spread over the whole of a camera's footage, undistorted; for what stands still.
-pub(crate) fn samples(camera: &RigCamera, count: usize) -> Result<Vec<ImageRgb8>, PrepareError> {
-    let total = camera.sequence.pictures;
-    let chosen = (0..count.min(total)).map(|i| (2 * i + 1) * total / (2 * count.min(total)));
-    let mut out = Vec::new();
-    for index in chosen {
-        let picture = match &camera.pictures {
-            Pictures::Files(files) => Some(pictures::read_rgb(&files[index])?),
-            Pictures::Video(file) => {
-                let rate = camera.sequence.rate.unwrap_or(1.0);
-                video::Frames::open_at(file, index as f64 / rate)?.next()?
-            }
-        };
-        let usable = picture.filter(|p| p.size() == camera.undistortion.source_size());
-        out.extend(usable.map(|p| camera.undistortion.apply(&p).0));
+/// Some pictures of a camera.
+pub(crate) struct Sequence<'a> {
+    pub pictures: &'a Pictures,
+    pub count: usize,
+    /// How many of them a second, where they are a video.
+    pub rate: Option<f64>,
+}
+
+impl<'a> Sequence<'a> {
+    /// At most `count` of them, spread over all, as they are; each with its file.
+    ///
+    /// # Errors
+    /// When one cannot be read.
+    pub(crate) fn spread(&self, count: usize) -> Result<Vec<(&'a Path, ImageRgb8)>, PrepareError> {
+        let count = count.min(self.count);
+        let chosen = (0..count).map(|i| (2 * i + 1) * self.count / (2 * count));
+        let mut out = Vec::new();
+        for index in chosen {
+            let (file, picture) = match self.pictures {
+                Pictures::Files(files) => (&files[index], Some(pictures::read_rgb(&files[index])?)),
+                Pictures::Video(file) => {
+                    let time = index as f64 / self.rate.unwrap_or(1.0);
+                    (file, video::Frames::open_at(file, time)?.next()?)
+                }
+            };
+            out.extend(picture.map(|picture| (file.as_path(), picture)));
+        }
+        Ok(out)
     }
-    Ok(out)
 }
 
 fn extract_masks(camera: &RigCamera, wanted: &[usize], out: &Path) -> Result<(), PrepareError> {

@@ -20,6 +20,9 @@ pub(crate) struct Journal {
     pub settings: BTreeMap<String, serde_json::Value>,
     /// Finished steps and the sentence that says what they did.
     pub steps: BTreeMap<Step, String>,
+    /// The clean plates that the masks were made from.
+    #[serde(default)]
+    pub clean_plates: Option<PathBuf>,
     /// Where the capture's origin lies in the calibration's world (its unit).
     pub origin: [f64; 3],
     /// Metres in a unit of the calibration.
@@ -67,7 +70,18 @@ impl Journal {
             return Ok(Self { settings: wanted, ..Self::default() });
         }
         journal.steps.retain(|step, _| !request.force.contains(step));
+        journal.refuse_other_plates(request)?;
         Ok(journal)
+    }
+
+    /// Masks that are there were made from the clean plates that are asked for.
+    fn refuse_other_plates(&self, request: &Request) -> Result<(), PrepareError> {
+        let wanted = request.clean_plates.as_deref().map(absolute);
+        if wanted.is_none() || wanted == self.clean_plates || !self.steps.contains_key(&Step::Masks) {
+            return Ok(());
+        }
+        let reason = "its masks were not made from these clean plates; --force masks makes them again".into();
+        Err(PrepareError::Output { folder: request.out.clone(), reason })
     }
 
     /// Writes the journal.
@@ -101,8 +115,13 @@ fn path(out: &Path) -> PathBuf {
     out.join(FILE)
 }
 
+/// The folder by its whole path; one that is not there as it was named.
+pub(crate) fn absolute(folder: &Path) -> PathBuf {
+    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned())
+}
+
 fn settings(request: &Request) -> BTreeMap<String, serde_json::Value> {
-    let source = std::fs::canonicalize(&request.source).unwrap_or_else(|_| request.source.clone());
+    let source = absolute(&request.source);
     let test = format!("{:?}", request.test);
     [
         ("source", json!(source)),

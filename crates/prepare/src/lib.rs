@@ -3,6 +3,7 @@
 //! Four steps, each of which can be repeated alone: pictures (extraction and undistortion, with the camera lists),
 //! masks, points and tracks. A file that is there is complete and is not made again.
 
+mod beside;
 mod camera_lists;
 mod conversion;
 mod error;

@@ -1,5 +1,6 @@
 //! The steps in their order.
 
+use crate::beside::Beside;
 use crate::journal::{self, Journal};
 use crate::networks::Networks;
 use crate::removal::remove;
@@ -100,11 +101,8 @@ fn take(
         Step::Masks if request.out.join("seg").is_dir() => Ok("those of the footage".to_owned()),
         Step::Masks => {
             let rig = rig(footage, request)?;
-            let beyond = |name: &str| {
-                let camera = rig.cameras.iter().find(|c| c.name == name);
-                camera.map_or(Ok(Vec::new()), |c| extraction::samples(c, masks::SAMPLES_BEYOND))
-            };
-            masks::make(&capture, &beyond, progress)
+            journal.clean_plates = request.clean_plates.as_deref().map(journal::absolute);
+            masks::make(&capture, &Beside::new(&rig, request.clean_plates.as_deref())?, progress)
         }
         Step::Points => {
             let known = known_points(footage, journal);

@@ -29,6 +29,8 @@ pub struct Request {
     pub metres_per_unit: Option<f64>,
     /// Which cameras are held out.
     pub test: TestCameras,
+    /// Folder with pictures or videos of the empty scene, named as the cameras; masks are then made from these.
+    pub clean_plates: Option<PathBuf>,
     /// The steps to take; all when empty.
     pub only: Vec<Step>,
     /// The steps whose results are thrown away and made again.
@@ -51,6 +53,7 @@ impl Request {
             offsets: BTreeMap::new(),
             metres_per_unit: None,
             test: TestCameras::default(),
+            clean_plates: None,
             only: Vec::new(),
             force: Vec::new(),
             networks: Vec::new(),

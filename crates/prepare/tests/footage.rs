@@ -103,13 +103,13 @@ fn error(request: &Request) -> String {
     prepare(request, &|_: &str, _: usize, _: usize| ()).unwrap_err().to_string()
 }
 
-/// Intersection over union of all masks with the ball's silhouettes.
-fn overlap(capture: &Capture) -> f64 {
+/// Intersection over union of all masks with the ball's silhouettes; the capture's frames are `frames` of the footage.
+fn overlap(capture: &Capture, frames: std::ops::Range<usize>) -> f64 {
     let (mut both, mut either) = (0, 0);
     for view in 0..capture.views(Split::Train).len() {
         let index: usize = capture.views(Split::Train)[view].name[4..].parse().unwrap();
-        for frame in 0..FRAMES {
-            let mask = capture.load_mask(Split::Train, view, frame).unwrap().unwrap();
+        for frame in frames.clone() {
+            let mask = capture.load_mask(Split::Train, view, frame - frames.start).unwrap().unwrap();
             for (i, found) in mask.data().iter().enumerate() {
                 let (x, y) = ((i % SIZE.width) as u32, (i / SIZE.width) as u32);
                 let truth = on_ball(&camera(index), x, y, frame);
@@ -130,7 +130,7 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
     let capture = Capture::open(&request.out).unwrap();
     let report = check(&capture);
     assert!(report.is_usable() && report.points > 100, "{report}");
-    assert!(overlap(&capture) > 0.85, "{}", overlap(&capture));
+    assert!(overlap(&capture, 0..FRAMES) > 0.85, "{}", overlap(&capture, 0..FRAMES));
     assert_eq!(capture.load_image(Split::Test, 0, 2).unwrap().data(), picture(3, 2).as_raw().as_slice());
     assert!((capture.camera(Split::Test, 0, 0).unwrap().center() - camera(3).center()).length() < 1e-6);
     for file in ["masks.png", "tracks/tracks.json", "tracks/lucas_kanade/cam_0/000007.npz"] {
@@ -145,6 +145,34 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
     assert!(stamp("ims/cam_0/000000.png") == before.0 && stamp("init_pt_cld.npz") > before.1);
     let other = error(&Request { every: 2, ..request.clone() });
     assert!(other.contains("every = 1") && other.contains('2'), "{other}");
+}
+
+/// Pictures of the empty scene make masks of a single frame, from which no background can be learnt.
+#[test]
+fn clean_plates_make_masks_of_a_single_frame() {
+    let folder = footage(0, FRAMES);
+    let plates = tempfile::tempdir().unwrap();
+    for i in 0..CAMERAS {
+        picture(i, FAR_AWAY).save(plates.path().join(format!("CAM_{i}.png"))).unwrap();
+    }
+    let one = Request { start: 3, count: Some(1), ..request(&folder) };
+    assert!(run(&one).to_string().contains("none: 1 frames do not tell what moves"));
+    let with = Request { clean_plates: Some(plates.path().to_owned()), ..one.clone() };
+    assert!(error(&with).contains("--force masks"), "masks without clean plates stay");
+    let again = Request { force: vec![Step::Masks], ..with.clone() };
+    let told = run(&again).to_string();
+    assert!(told.contains("made from clean plates of 6 fixed cameras"), "{told}");
+    let capture = Capture::open(&with.out).unwrap();
+    assert!(overlap(&capture, 3..4) > 0.9, "{}", overlap(&capture, 3..4));
+    run(&with);
+
+    let wrong = plates.path().join("CAM_2.png");
+    RgbImage::new(8, 8).save(&wrong).unwrap();
+    assert!(error(&again).contains("CAM_2.png: 8 x 8, but"), "{}", error(&again));
+    let nobody = tempfile::tempdir().unwrap();
+    fs::copy(&wrong, nobody.path().join("unknown.png")).unwrap();
+    let unnamed = Request { clean_plates: Some(nobody.path().to_owned()), ..again };
+    assert!(error(&unnamed).contains("`cam_0.png`, for example"), "{}", error(&unnamed));
 }
 
 #[test]

@@ -21,7 +21,7 @@ use std::sync::Mutex;
         it stopped. docs/footage.md tells what each format asks for.",
     after_help = "Examples:\n  ffgs prepare session --out capture --scale 0.5\n  \
         ffgs prepare session --out capture --start 100 --count 50 --every 2 --offset cam_2=-3\n  \
-        ffgs prepare session --out capture --only masks --force masks\n  ffgs check capture && ffgs run capture --out run"
+        ffgs prepare session --out capture --only masks --force masks --clean-plates session/empty\n  ffgs check capture && ffgs run capture --out run"
 )]
 pub struct PrepareArgs {
     /// Folder with the footage and its calibration
@@ -54,6 +54,10 @@ pub struct PrepareArgs {
     /// Cameras held out for measuring: names, every:N, or none
     #[arg(long, value_name = "NAME,NAME|every:N|none")]
     pub test: Option<TestCameras>,
+    /// Folder with pictures or videos of the empty scene (clean plates), named as the cameras: cam_1.png, cam_1.mp4 or
+    /// cam_1/; masks are made from them instead of from what stands still in the footage
+    #[arg(long, value_name = "DIR")]
+    pub clean_plates: Option<PathBuf>,
     /// Take these steps only: pictures, masks, points, tracks
     #[arg(long, value_name = "STEP", value_delimiter = ',')]
     pub only: Vec<Step>,
@@ -167,6 +171,7 @@ pub(crate) fn run(args: &PrepareArgs) -> Result<()> {
         offsets: args.offset.iter().cloned().collect(),
         metres_per_unit: args.unit,
         test: args.test.clone().unwrap_or_default(),
+        clean_plates: args.clean_plates.clone(),
         only: args.only.clone(),
         force: args.force.clone(),
         networks: args.network.clone(),

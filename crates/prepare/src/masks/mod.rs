@@ -7,6 +7,7 @@ mod cut;
 mod difference;
 mod regions;
 
+use crate::beside::Beside;
 use crate::extraction::file_name;
 use crate::hull::{Silhouette, common_region, hull};
 use crate::pictures::{read_mask, write_mask};
@@ -19,9 +20,8 @@ use regions::without_specks;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Frames of the capture from which a background is learnt, and pictures of the whole footage besides.
+/// Frames of the capture from which a background is learnt.
 const SAMPLES: usize = 20;
-pub(crate) const SAMPLES_BEYOND: usize = 16;
 /// Fewer frames do not tell what stands still.
 const LEAST_FRAMES: usize = 4;
 /// Rounds: in the second one the background is learnt without what the first one found.
@@ -44,19 +44,17 @@ struct View {
     fixed: bool,
 }
 
-/// More pictures of a camera, by name.
-pub(crate) type Beyond<'a> = &'a (dyn Fn(&str) -> Result<Vec<ImageRgb8>, PrepareError> + Sync);
-
-/// Makes the masks of all views; they appear together when all are done. `beyond` gives more pictures of a camera than
-/// the capture has. Returns what was done, or why nothing was.
+/// Makes the masks of all views; they appear together when all are done. `beside` has more pictures of the cameras than
+/// the capture. Returns what was done, or why nothing was.
 pub(crate) fn make(
     capture: &Capture,
-    beyond: Beyond,
+    beside: &Beside,
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
     let views = views(capture)?;
     let fixed = views.iter().filter(|v| v.fixed).count();
-    if capture.frames() < LEAST_FRAMES {
+    let plates = views.iter().filter(|v| v.fixed && beside.has_clean_plate(&v.name)).count();
+    if capture.frames() < LEAST_FRAMES && plates < 2 {
         return Ok(format!("none: {} frames do not tell what moves; run with --init none", capture.frames()));
     }
     if fixed < 2 {
@@ -66,16 +64,17 @@ pub(crate) fn make(
         ));
     }
     let part = capture.root().join("seg.part");
-    let total = ROUNDS * (fixed + capture.frames());
+    let rounds = if plates == fixed { 1 } else { ROUNDS };
+    let total = rounds * (fixed + capture.frames());
     let mut done = 0;
     let mut step = |n: usize| {
         done += n;
         progress.advance("masks", done, total);
     };
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         let known = (round > 0).then_some(part.as_path());
         let backgrounds: Vec<Option<Background>> =
-            views.par_iter().map(|v| learn(capture, v, known, beyond)).collect::<Result<_, _>>()?;
+            views.par_iter().map(|v| learn(capture, v, known, beside)).collect::<Result<_, _>>()?;
         step(fixed);
         for frame in 0..capture.frames() {
             let masks = masks_of(capture, &views, &backgrounds, frame)?;
@@ -89,10 +88,20 @@ pub(crate) fn make(
     let seg = capture.root().join("seg");
     fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
     contact_sheet::write(capture, &seg)?;
-    let moving = views.len() - fixed;
-    let hull =
-        if moving > 0 { format!(", {moving} moving ones from the visual hull alone") } else { String::new() };
-    Ok(format!("made from the background of {fixed} fixed cameras{hull}; look at {SHEET}"))
+    Ok(format!("{}; look at {SHEET}", made_from(plates, fixed, views.len())))
+}
+
+/// What the masks of `all` cameras were made from.
+fn made_from(plates: usize, fixed: usize, all: usize) -> String {
+    let source = match plates {
+        0 => format!("made from the background of {fixed} fixed cameras"),
+        _ if plates == fixed => format!("made from clean plates of {fixed} fixed cameras"),
+        _ => format!("made from clean plates of {plates} of {fixed} fixed cameras, else from the background"),
+    };
+    match all - fixed {
+        0 => source,
+        moving => format!("{source}, {moving} moving ones from the visual hull alone"),
+    }
 }
 
 fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
@@ -110,18 +119,25 @@ fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
     Ok(out)
 }
 
-/// The background of a fixed camera from frames spread over the capture, without what `known` masks cover, and from
-/// more of its footage.
+/// The background of a fixed camera: of the empty scene, or from frames spread over the capture, without what `known` masks
+/// cover, and from more of its footage.
 fn learn(
     capture: &Capture,
     view: &View,
     known: Option<&Path>,
-    beyond: Beyond,
+    beside: &Beside,
 ) -> Result<Option<Background>, PrepareError> {
     if !view.fixed {
         return Ok(None);
     }
+    if beside.has_clean_plate(&view.name) {
+        let empty = beside.clean_plates(&view.name)?;
+        return Ok((!empty.is_empty()).then(|| Background::learn(&empty, &[])));
+    }
     let frames = capture.frames();
+    if frames < LEAST_FRAMES {
+        return Ok(None);
+    }
     let count = frames.min(SAMPLES);
     let chosen: Vec<usize> = (0..count).map(|i| i * frames / count).collect();
     let mut images = Vec::new();
@@ -133,8 +149,7 @@ fn learn(
             masks.push(mask.dilated(regions::radius(mask.size())));
         }
     }
-    let size = images[0].size();
-    images.extend(beyond(&view.name)?.into_iter().filter(|i| i.size() == size));
+    images.extend(beside.footage(&view.name)?);
     Ok(Some(Background::learn(&images, &masks)))
 }
 

@@ -1,0 +1,95 @@
+//! Pictures of a camera beside those of the capture: of its whole footage, and of the empty scene (clean plates).
+
+use crate::extraction::{Sequence, same_size};
+use crate::rig::{Rig, RigCamera};
+use crate::{PrepareError, video};
+use ffgs_calibration::{Media, Pictures};
+use ffgs_core::ImageRgb8;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Pictures that are read of a camera's footage, and of the empty scene, at most.
+const SAMPLES: usize = 16;
+
+/// What the cameras saw beside the capture's pictures.
+pub(crate) struct Beside<'a> {
+    rig: &'a Rig,
+    /// Pictures of the empty scene by camera.
+    clean_plates: BTreeMap<String, Pictures>,
+}
+
+impl<'a> Beside<'a> {
+    /// Looks for the clean plates of all cameras in a folder, where there is one.
+    ///
+    /// # Errors
+    /// When the folder cannot be read or has none.
+    pub(crate) fn new(rig: &'a Rig, folder: Option<&Path>) -> Result<Self, PrepareError> {
+        let mut clean_plates = BTreeMap::new();
+        if let Some(folder) = folder {
+            let media = Media::find(folder)?;
+            for camera in &rig.cameras {
+                let names = names(camera);
+                let found = media.of_camera(&names).or_else(|| media.image_of_camera(&names));
+                clean_plates.extend(found.map(|pictures| (camera.name.clone(), pictures)));
+            }
+            if clean_plates.is_empty() {
+                let first = &rig.cameras[0].name;
+                return Err(PrepareError::CleanPlates { folder: folder.to_owned(), camera: first.clone() });
+            }
+        }
+        Ok(Self { rig, clean_plates })
+    }
+
+    /// Whether the empty scene was filmed with a camera.
+    pub(crate) fn has_clean_plate(&self, camera: &str) -> bool {
+        self.clean_plates.contains_key(camera)
+    }
+
+    /// The empty scene in a camera; none where it was not filmed.
+    ///
+    /// # Errors
+    /// When a picture cannot be read, or is not as large as the camera's.
+    pub(crate) fn clean_plates(&self, camera: &str) -> Result<Vec<ImageRgb8>, PrepareError> {
+        let (Some(camera), Some(pictures)) = (self.camera(camera), self.clean_plates.get(camera)) else {
+            return Ok(Vec::new());
+        };
+        let (count, rate) = match pictures {
+            Pictures::Video(file) => {
+                let facts = video::probe(file)?;
+                (facts.frames, Some(facts.rate))
+            }
+            Pictures::Files(files) => (files.len(), None),
+        };
+        let undistorted = |(file, picture): (&Path, ImageRgb8)| {
+            same_size(camera, picture.size(), file)?;
+            Ok(camera.undistortion.apply(&picture).0)
+        };
+        Sequence { pictures, count, rate }.spread(SAMPLES)?.into_iter().map(undistorted).collect()
+    }
+
+    /// Pictures spread over the whole of a camera's footage, but for those of another size.
+    ///
+    /// # Errors
+    /// When one cannot be read.
+    pub(crate) fn footage(&self, camera: &str) -> Result<Vec<ImageRgb8>, PrepareError> {
+        let Some(camera) = self.camera(camera) else { return Ok(Vec::new()) };
+        let (count, rate) = (camera.sequence.pictures, camera.sequence.rate);
+        let found = Sequence { pictures: &camera.pictures, count, rate }.spread(SAMPLES)?;
+        let usable = found.into_iter().filter(|(_, p)| p.size() == camera.undistortion.source_size());
+        Ok(usable.map(|(_, picture)| camera.undistortion.apply(&picture).0).collect())
+    }
+
+    fn camera(&self, name: &str) -> Option<&RigCamera> {
+        self.rig.cameras.iter().find(|camera| camera.name == name)
+    }
+}
+
+/// What a clean plate of a camera may be called: as the camera, or as its video or folder of pictures.
+fn names(camera: &RigCamera) -> Vec<String> {
+    let of = match &camera.pictures {
+        Pictures::Video(file) => file.file_stem(),
+        Pictures::Files(files) => files.first().and_then(|file| file.parent()?.file_name()),
+    };
+    let of = of.map(|name| name.to_string_lossy().into_owned());
+    std::iter::once(camera.name.clone()).chain(of).collect()
+}
