@@ -14,5 +14,5 @@ pub use error::CalibrationError;
 pub use footage::{ColouredPoint, Footage, Pictures, Role, SourceCamera};
 pub use formats::{FORMATS, Format, detect};
 pub use lens::{Distortion, Lens};
-pub use media::Media;
+pub use media::{CLEAN_PLATES, Media};
 pub use undistortion::Undistortion;

@@ -10,9 +10,11 @@ use std::path::{Path, PathBuf};
 const DEPTH: usize = 4;
 const VIDEOS: [&str; 8] = ["mp4", "mov", "mkv", "avi", "m4v", "webm", "mpg", "mts"];
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
-/// Folders whose pictures are masks or a program's own output, not footage.
-const NOT_FOOTAGE: [&str; 9] =
-    ["mask", "masks", "seg", "bgmask", "bgmasks", "depth", "depths", "motion_masks", "sparse"];
+/// Name of a folder with pictures of the empty scene.
+pub const CLEAN_PLATES: &str = "clean_plates";
+/// Folders whose pictures are masks, the empty scene or a program's own output, not footage.
+const NOT_FOOTAGE: [&str; 10] =
+    [CLEAN_PLATES, "mask", "masks", "seg", "bgmask", "bgmasks", "depth", "depths", "motion_masks", "sparse"];
 
 /// The videos and image folders below a folder.
 #[derive(Clone, Debug, Default)]

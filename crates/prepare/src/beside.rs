@@ -1,9 +1,10 @@
 //! Pictures of a camera beside those of the capture: of its whole footage, and of the empty scene (clean plates).
 
 use crate::extraction::{Sequence, same_size};
+use crate::journal::absolute;
 use crate::rig::{Rig, RigCamera};
-use crate::{PrepareError, video};
-use ffgs_calibration::{Media, Pictures};
+use crate::{PrepareError, Request, video};
+use ffgs_calibration::{CLEAN_PLATES, Media, Pictures};
 use ffgs_core::ImageRgb8;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,7 +35,10 @@ impl<'a> Beside<'a> {
             }
             if clean_plates.is_empty() {
                 let first = &rig.cameras[0].name;
-                return Err(PrepareError::CleanPlates { folder: folder.to_owned(), camera: first.clone() });
+                let reason = format!(
+                    "no picture, video or folder of pictures is named as a camera ({first}.png, for example)"
+                );
+                return Err(PrepareError::CleanPlates { folder: folder.to_owned(), reason });
             }
         }
         Ok(Self { rig, clean_plates })
@@ -82,6 +86,22 @@ impl<'a> Beside<'a> {
     fn camera(&self, name: &str) -> Option<&RigCamera> {
         self.rig.cameras.iter().find(|camera| camera.name == name)
     }
+}
+
+/// Clean plates do not lie where they would be taken for footage.
+///
+/// # Errors
+/// When they do.
+pub(crate) fn refuse_plates_among_footage(request: &Request) -> Result<(), PrepareError> {
+    let Some(folder) = &request.clean_plates else { return Ok(()) };
+    let place = absolute(folder);
+    let Ok(within) = place.strip_prefix(absolute(&request.source)) else { return Ok(()) };
+    if within.iter().any(|name| name.eq_ignore_ascii_case(CLEAN_PLATES)) {
+        return Ok(());
+    }
+    let reason =
+        format!("it lies in the footage's folder and would be taken for footage; call it {CLEAN_PLATES}");
+    Err(PrepareError::CleanPlates { folder: folder.clone(), reason })
 }
 
 /// What a clean plate of a camera may be called: as the camera, or as its video or folder of pictures.

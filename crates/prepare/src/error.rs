@@ -44,13 +44,13 @@ pub enum PrepareError {
         /// What is there.
         reason: String,
     },
-    /// A folder of clean plates has none of any camera.
-    #[error("{}: no picture, video or folder of pictures is named as a camera (`{camera}.png`, for example)", .folder.display())]
+    /// A folder of clean plates cannot be used.
+    #[error("{}: {reason}", .folder.display())]
     CleanPlates {
         /// The folder.
         folder: PathBuf,
-        /// One of the cameras.
-        camera: String,
+        /// Why not.
+        reason: String,
     },
     /// The calibration cannot be used.
     #[error(transparent)]
@@ -95,7 +95,9 @@ impl PrepareError {
             }
             Self::Footage(_) => "see docs/footage.md for what each format asks for",
             Self::Output { .. } => "choose another --out, or make the step again with --force",
-            Self::CleanPlates { .. } => "name the pictures of the empty scene as the cameras are named",
+            Self::CleanPlates { .. } => {
+                "name the pictures of the empty scene as the cameras, in a folder beside the footage or one called clean_plates"
+            }
             Self::Calibration(error) => error.fix(),
             Self::Capture(error) => error.fix(),
             Self::Array(_) => "check the free space",

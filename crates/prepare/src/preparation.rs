@@ -1,6 +1,6 @@
 //! The steps in their order.
 
-use crate::beside::Beside;
+use crate::beside::{Beside, refuse_plates_among_footage};
 use crate::journal::{self, Journal};
 use crate::networks::Networks;
 use crate::removal::remove;
@@ -31,6 +31,7 @@ pub fn prepare(request: &Request, progress: &dyn Progress) -> Result<Summary, Pr
 fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, PrepareError> {
     // A network that cannot be loaded is told before anything is made.
     let mut networks = Networks::load(if request.wants(Step::Tracks) { &request.networks } else { &[] })?;
+    refuse_plates_among_footage(request)?;
     let mut journal = Journal::open(request)?;
     clear_forced(request)?;
     if networks.announce(&request.out)? {
@@ -97,11 +98,18 @@ fn take(
         return make_pictures(footage, request, journal, progress);
     }
     let capture = Capture::open(&request.out)?;
+    if step == Step::Masks {
+        journal.clean_plates = request.clean_plates.as_deref().map(journal::absolute);
+    }
     match step {
-        Step::Masks if request.out.join("seg").is_dir() => Ok("those of the footage".to_owned()),
+        Step::Masks if request.out.join("seg").is_dir() => Ok(match &request.clean_plates {
+            None => "those of the footage".to_owned(),
+            Some(_) => {
+                "those of the footage; the clean plates were not needed (--force masks uses them)".to_owned()
+            }
+        }),
         Step::Masks => {
             let rig = rig(footage, request)?;
-            journal.clean_plates = request.clean_plates.as_deref().map(journal::absolute);
             masks::make(&capture, &Beside::new(&rig, request.clean_plates.as_deref())?, progress)
         }
         Step::Points => {

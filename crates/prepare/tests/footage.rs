@@ -151,13 +151,14 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
 #[test]
 fn clean_plates_make_masks_of_a_single_frame() {
     let folder = footage(0, FRAMES);
-    let plates = tempfile::tempdir().unwrap();
+    let plates = folder.path().join("clean_plates");
+    fs::create_dir(&plates).unwrap();
     for i in 0..CAMERAS {
-        picture(i, FAR_AWAY).save(plates.path().join(format!("CAM_{i}.png"))).unwrap();
+        picture(i, FAR_AWAY).save(plates.join(format!("CAM_{i}.png"))).unwrap();
     }
     let one = Request { start: 3, count: Some(1), ..request(&folder) };
     assert!(run(&one).to_string().contains("none: 1 frames do not tell what moves"));
-    let with = Request { clean_plates: Some(plates.path().to_owned()), ..one.clone() };
+    let with = Request { clean_plates: Some(plates.clone()), ..one.clone() };
     assert!(error(&with).contains("--force masks"), "masks without clean plates stay");
     let again = Request { force: vec![Step::Masks], ..with.clone() };
     let told = run(&again).to_string();
@@ -166,13 +167,37 @@ fn clean_plates_make_masks_of_a_single_frame() {
     assert!(overlap(&capture, 3..4) > 0.9, "{}", overlap(&capture, 3..4));
     run(&with);
 
-    let wrong = plates.path().join("CAM_2.png");
+    let wrong = plates.join("CAM_2.png");
     RgbImage::new(8, 8).save(&wrong).unwrap();
     assert!(error(&again).contains("CAM_2.png: 8 x 8, but"), "{}", error(&again));
     let nobody = tempfile::tempdir().unwrap();
     fs::copy(&wrong, nobody.path().join("unknown.png")).unwrap();
-    let unnamed = Request { clean_plates: Some(nobody.path().to_owned()), ..again };
-    assert!(error(&unnamed).contains("`cam_0.png`, for example"), "{}", error(&unnamed));
+    let unnamed = Request { clean_plates: Some(nobody.path().to_owned()), ..again.clone() };
+    assert!(error(&unnamed).contains("cam_0.png, for example"), "{}", error(&unnamed));
+
+    fs::rename(&plates, folder.path().join("empty")).unwrap();
+    let among = Request { clean_plates: Some(folder.path().join("empty")), ..again };
+    assert!(error(&among).contains("would be taken for footage"), "{}", error(&among));
+}
+
+/// Masks that the footage has stay, and the same command goes on.
+#[test]
+fn clean_plates_do_not_replace_masks_of_the_footage() {
+    let folder = footage(0, FRAMES);
+    let plates = tempfile::tempdir().unwrap();
+    picture(0, FAR_AWAY).save(plates.path().join("cam_0.png")).unwrap();
+    let source = Request { only: vec![Step::Pictures, Step::Masks], ..request(&folder) };
+    run(&source);
+    let capture = tempfile::tempdir().unwrap();
+    let with = Request {
+        clean_plates: Some(plates.path().to_owned()),
+        only: source.only.clone(),
+        ..Request::new(source.out, capture.path().join("again"))
+    };
+    for _ in 0..2 {
+        let told = run(&with).to_string();
+        assert!(told.contains("those of the footage; the clean plates were not needed"), "{told}");
+    }
 }
 
 #[test]

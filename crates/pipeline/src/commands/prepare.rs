@@ -21,7 +21,7 @@ use std::sync::Mutex;
         it stopped. docs/footage.md tells what each format asks for.",
     after_help = "Examples:\n  ffgs prepare session --out capture --scale 0.5\n  \
         ffgs prepare session --out capture --start 100 --count 50 --every 2 --offset cam_2=-3\n  \
-        ffgs prepare session --out capture --only masks --force masks --clean-plates session/empty\n  ffgs check capture && ffgs run capture --out run"
+        ffgs prepare session --out capture --only masks --force masks --clean-plates session/clean_plates\n  ffgs check capture && ffgs run capture --out run"
 )]
 pub struct PrepareArgs {
     /// Folder with the footage and its calibration
