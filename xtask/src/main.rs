@@ -41,6 +41,7 @@ Every command of ffgs and of ffgs-lab passes through, with the program built in 
   cargo xtask view RUN                          play a run in the browser
   cargo xtask config                            the default configuration, with comments
   cargo xtask motion-eval CAPTURE               the motion initialisation against ground truth
+  cargo xtask mask-eval CAPTURE TRUTH           the masks of a capture against the true ones
   cargo xtask simulate                          the fusion on simulated scenes
   cargo xtask ablations [CAPTURE]               every single change of the configuration
   cargo xtask compare CAPTURE --methods all     every method from one first frame: quality, seconds, storage

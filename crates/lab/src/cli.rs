@@ -3,6 +3,7 @@
 use crate::ablations::{self, AblationArgs};
 use crate::compare::{self, CompareArgs};
 use crate::enlarge::{self, EnlargeArgs};
+use crate::mask_eval::{self, MaskEvalArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
 use crate::synthetic::{self, SyntheticArgs};
@@ -23,6 +24,8 @@ struct Cli {
 enum Command {
     /// Score the motion initialisation against a capture's ground truth
     MotionEval(MotionEvalArgs),
+    /// Score the masks of a capture against the true ones
+    MaskEval(MaskEvalArgs),
     /// Score the fusion on simulated scenes
     Simulate(SimulateArgs),
     /// Score the configuration, our most literal reading of Algorithm 1, and every single change
@@ -45,6 +48,10 @@ fn dispatch(command: Command) -> Result<()> {
         Command::MotionEval(args) => {
             args.source.log.start();
             motion_eval::run(&args)
+        }
+        Command::MaskEval(args) => {
+            args.log.start();
+            mask_eval::run(&args)
         }
         Command::Simulate(args) => {
             args.log.start();

@@ -3,7 +3,7 @@
 use super::plan::Candidate;
 use super::table::Table;
 use ffgs_core::stage;
-use ffgs_pipeline::outputs::record::{Mean, Metrics};
+use ffgs_pipeline::outputs::record::{FrameRecord, Mean, Metrics};
 use std::collections::BTreeMap;
 
 /// A capture and the runs on it.
@@ -42,6 +42,15 @@ impl Outcome {
     pub(super) fn seconds(&self) -> Option<f64> {
         self.metrics.mean.seconds_per_frame
     }
+
+    /// Time on processors (s) per frame after the first, of all that the process did between two frames. A step that is
+    /// not positive does not count: the run was resumed there, by a process whose counter began anew. Where that process had
+    /// done much else before, the step is positive and cannot be told from others.
+    fn processor_seconds(&self) -> Option<f64> {
+        let step = |pair: &[FrameRecord]| Some(pair[1].processor_seconds? - pair[0].processor_seconds?);
+        let steps: Vec<f64> = self.metrics.frames.windows(2).filter_map(step).filter(|s| *s > 0.0).collect();
+        (!steps.is_empty()).then(|| steps.iter().sum::<f64>() / steps.len() as f64)
+    }
 }
 
 /// Of the paper's tables: quality, seconds by stage, storage, preparation; and what each method reaches in our seconds.
@@ -72,9 +81,11 @@ fn scores(mean: &Mean) -> [String; 8] {
 const SCORES: [&str; 8] = ["PSNR", "SSIM", "VMAF", "flicker", "MPSNR", "MSSIM", "MVMAF", "mflicker"];
 
 fn quality(compared: &Compared) -> Table {
-    let head = [&["method"][..], &SCORES, &["MPSNR before", "s", "PE", "VE", "frames", ""]].concat();
+    let head =
+        [&["method"][..], &SCORES, &["MPSNR before", "s", "processor s", "PE", "VE", "frames", ""]].concat();
     let note = "Means over the test views of the frames after the first. MPSNR before: of the motion alone, before training. \
-                s: seconds per frame; PE and VE: PSNR and VMAF by seconds. Flicker: change of the error since the frame before, less is better. \
+                s: seconds per frame; processor s: time on processors per frame, renders of the test views included; \
+                PE and VE: PSNR and VMAF by seconds. Flicker: change of the error since the frame before, less is better. \
                 Names that begin with M or m: over the foreground.";
     let mut table = Table::new(format!("{}: quality", compared.capture), note, &head);
     for outcome in &compared.outcomes {
@@ -82,7 +93,7 @@ fn quality(compared: &Compared) -> Table {
         let mut row = vec![outcome.title()];
         row.extend(scores(mean));
         row.push(number(mean.initial_mpsnr, 2));
-        row.push(number(mean.seconds_per_frame, 1));
+        row.extend([mean.seconds_per_frame, outcome.processor_seconds()].map(|value| number(value, 1)));
         row.extend([mean.psnr_per_second, mean.vmaf_per_second].map(|value| number(value, 2)));
         row.push(outcome.metrics.frames.len().saturating_sub(1).to_string());
         row.push(outcome.stopped.as_ref().map_or_else(String::new, |why| format!("stopped: {why}")));
@@ -178,7 +189,7 @@ fn preparation(all: &[Compared]) -> Table {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use ffgs_pipeline::outputs::record::{FrameRecord, ViewMetrics};
+    use ffgs_pipeline::outputs::record::ViewMetrics;
 
     pub(in super::super) fn outcome(name: &str, budget: f64, psnr: f64, seconds: f64) -> Outcome {
         let frame = |frame| {
@@ -210,9 +221,36 @@ pub(super) mod tests {
         let table = quality(&compared());
         assert_eq!(table.rows[0][..3], ["trackers", "25.00", "0.5000"]);
         assert_eq!(table.rows[2][0], "hicom x 0.4");
-        assert_eq!((table.rows[0][13].as_str(), table.rows[4][13].as_str()), ("2", "0"));
+        assert_eq!((table.rows[0][14].as_str(), table.rows[4][14].as_str()), ("2", "0"));
         assert_eq!(table.rows[4].last().map(String::as_str), Some("stopped: it diverged"));
         assert!(table.rows.iter().all(|row| row.len() == table.head.len()));
+    }
+
+    #[test]
+    fn processor_seconds_are_of_the_steps_between_frames_of_one_process() {
+        let of = |counter: &[Option<f64>]| {
+            let frame = |(frame, seconds): (usize, &Option<f64>)| FrameRecord {
+                frame,
+                processor_seconds: *seconds,
+                ..FrameRecord::default()
+            };
+            let metrics = Metrics::of(counter.iter().enumerate().map(frame).collect());
+            Outcome { name: "trackers".into(), budget: 1.0, metrics, stopped: None }.processor_seconds()
+        };
+        assert_eq!(of(&[Some(50.0), Some(53.0), Some(58.0)]), Some(4.0));
+        assert_eq!(of(&[Some(50.0), Some(53.0), Some(2.0), Some(7.0)]), Some(4.0), "resumed before frame 2");
+        assert_eq!(of(&[Some(50.0), None, Some(60.0), Some(66.0)]), Some(6.0), "no step across a gap");
+        assert_eq!(of(&[Some(50.0), Some(2.0)]), None);
+        assert_eq!((of(&[Some(50.0)]), of(&[])), (None, None));
+        let mut compared = compared();
+        compared.outcomes[0]
+            .metrics
+            .frames
+            .iter_mut()
+            .for_each(|f| f.processor_seconds = Some(3.0 * f.frame as f64));
+        let table = quality(&compared);
+        let column = table.head.iter().position(|name| name == "processor s").unwrap();
+        assert_eq!([0, 1, 4].map(|row| table.rows[row][column].as_str()), ["3.0", "-", "-"]);
     }
 
     #[test]
