@@ -79,7 +79,7 @@ fn the_sky_agrees() {
 fn the_dynamic_lane_agrees_and_a_step_reads_nothing_back() {
     let (device, world) = (SceneDevice::new(Gpu::for_test()), world());
     let start = perturbed(&world.moving, 8);
-    let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
+    let config = DynamicLaneConfig { iterations: 60, ..DynamicLaneConfig::default() };
     let (mut cpu, mut found) = (start.clone(), start.clone());
     let Ok(()) = world.dynamic(&CpuBackend, &config, world.around(), &mut cpu);
     let mut last = None;
@@ -107,7 +107,7 @@ fn the_dynamic_lane_with_a_prior_agrees() {
     let (device, world) = (SceneDevice::new(Gpu::for_test()), world());
     let start = perturbed(&world.moving, 8);
     let information = information(start.len());
-    let config = DynamicLaneConfig { iterations: 60, position_rate: 2e-3, ..DynamicLaneConfig::default() };
+    let config = DynamicLaneConfig { iterations: 60, ..DynamicLaneConfig::default() };
     let moved = |g: &Gaussians| {
         let squares =
             g.means.iter().zip(&start.means).flat_map(|(a, b)| [0, 1, 2].map(|k| (a[k] - b[k]).powi(2)));

@@ -7,7 +7,7 @@
 
 use crate::adam::LearningRates;
 use crate::backend::TrainBackend;
-use crate::dynamic_lane::robust_extent;
+use crate::lengths::robust_extent;
 use crate::schedule::{Schedule, decay};
 use crate::subset::{Subset, shown, train_subset};
 use crate::view::Progress;

@@ -7,6 +7,7 @@
 use crate::adam::LearningRates;
 use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
 use crate::layer_lane::train_layer;
+use crate::lengths::pixel_length;
 use crate::prior::Prior;
 use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
@@ -21,10 +22,10 @@ use std::sync::Arc;
 pub struct DynamicLaneConfig {
     /// Steps per frame, one view each (N_dyn).
     pub iterations: usize,
-    /// Position rate at the first step, as a share of the dynamic layer's extent.
-    pub position_rate: f32,
+    /// Position rate at the first step, in pixels: times [`pixel_length`].
+    pub position_rate_px: f32,
     /// Position rate at the last step, likewise.
-    pub position_rate_end: f32,
+    pub position_rate_end_px: f32,
     /// Rate of quaternions.
     pub quat_rate: f32,
     /// Rate of log scales.
@@ -51,8 +52,8 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 300,
-            position_rate: 1e-4,
-            position_rate_end: 3e-6,
+            position_rate_px: 0.2,
+            position_rate_end_px: 0.006,
             quat_rate: 1e-3,
             scale_rate: 5e-3,
             opacity_rate: 1e-2,
@@ -74,17 +75,21 @@ impl DynamicLaneConfig {
         if first == 0 {
             return [Self { iterations: 0, ..*self }, *self];
         }
-        let between = decay(self.position_rate, self.position_rate_end, first, self.iterations);
+        let between = self.position_rate_px(first);
         [
-            Self { iterations: first, position_rate_end: between, ..*self },
-            Self { iterations: self.iterations - first, position_rate: between, ..*self },
+            Self { iterations: first, position_rate_end_px: between, ..*self },
+            Self { iterations: self.iterations - first, position_rate_px: between, ..*self },
         ]
     }
 
-    /// Step sizes at a step, for a layer of radius `extent` (m).
-    pub fn rates(&self, iteration: usize, extent: f32) -> LearningRates {
+    fn position_rate_px(&self, iteration: usize) -> f32 {
+        decay(self.position_rate_px, self.position_rate_end_px, iteration, self.iterations)
+    }
+
+    /// Step sizes at a step, where a pixel is `pixel` (m) large.
+    pub fn rates(&self, iteration: usize, pixel: f32) -> LearningRates {
         LearningRates {
-            means: decay(self.position_rate, self.position_rate_end, iteration, self.iterations) * extent,
+            means: self.position_rate_px(iteration) * pixel,
             quats: self.quat_rate,
             scales: self.scale_rate,
             opacities: self.opacity_rate,
@@ -127,7 +132,7 @@ pub fn train_dynamic<B: TrainBackend>(
     if dynamic.is_empty() || config.iterations == 0 || views.is_empty() {
         return Ok(());
     }
-    let extent = robust_extent(dynamic);
+    let pixel = pixel_length(dynamic, views.iter().map(|v| &v.view.camera));
     let mut layer = Arc::new(std::mem::take(dynamic));
     let around = Around::Cut(CutLayers {
         static_layer: surroundings.static_layer,
@@ -137,7 +142,7 @@ pub fn train_dynamic<B: TrainBackend>(
     let task = LayerTask { prior: surroundings.prior, ..LayerTask::new(&mut layer, views, around) };
     let schedule = Schedule {
         iterations: config.iterations,
-        rates: &|iteration| config.rates(iteration, extent),
+        rates: &|iteration| config.rates(iteration, pixel),
         ..Schedule::default()
     };
     let trained = train_layer(backend, task, &schedule, seed, report);
@@ -150,23 +155,6 @@ fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView
     // A region that reaches beyond the usual tiles takes its own.
     let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION.max(config.loss_dilation)));
     TaskView { view, region: Some(region), tiles: Some(tiles) }
-}
-
-/// Radius (m) around the median position that holds 90 % of the Gaussians: outliers must not set the step size.
-pub fn robust_extent(gaussians: &Gaussians) -> f32 {
-    if gaussians.is_empty() {
-        return 0.0;
-    }
-    let n = gaussians.len();
-    let center = [0, 1, 2].map(|a| {
-        let mut axis: Vec<f32> = gaussians.means.iter().map(|m| m[a]).collect();
-        axis.sort_by(f32::total_cmp);
-        axis[n / 2]
-    });
-    let distance = |m: &[f32; 3]| (0..3).map(|a| (m[a] - center[a]).powi(2)).sum::<f32>().sqrt();
-    let mut distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
-    distances.sort_by(f32::total_cmp);
-    distances[(n * 9 / 10).min(n - 1)]
 }
 
 #[cfg(test)]

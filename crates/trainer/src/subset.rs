@@ -2,7 +2,7 @@
 
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::density_control::{DensityConfig, DensityControl};
-use crate::dynamic_lane::robust_extent;
+use crate::lengths::robust_extent;
 use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};

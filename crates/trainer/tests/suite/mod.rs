@@ -9,7 +9,7 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_trainer::{
     Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
     LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticColours, StaticLane,
-    StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend, robust_extent, train_dynamic,
+    StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend, pixel_length, train_dynamic,
     train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
@@ -183,7 +183,7 @@ pub(crate) fn a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss<B: T
         let image = render(&joint(&world.fixed, gaussians), &world.sky, &view.camera);
         loss.evaluate(&image, &view.image, LossRegion::Mask(&region), &mut gradient).total
     };
-    let rate = config.rates(0, robust_extent(&start)).means;
+    let rate = config.rates(0, pixel_length(&start, [&view.camera])).means;
     let mut judged = 0;
     for i in 0..start.len() {
         for axis in 0..3 {
@@ -213,7 +213,7 @@ pub(crate) fn the_dynamic_lane_brings_a_disturbed_layer_back<B: TrainBackend>(ba
     let world = world();
     let mut layer = world.disturbed();
     let before = world.error(&world.fixed, &layer, &world.sky, true);
-    let config = DynamicLaneConfig { iterations: 200, position_rate: 1e-2, ..DynamicLaneConfig::default() };
+    let config = DynamicLaneConfig { iterations: 200, ..DynamicLaneConfig::default() };
     world.train(backend, &config, &mut layer);
     let after = world.error(&world.fixed, &layer, &world.sky, true);
     println!("{before:.2e} -> {after:.2e}");
