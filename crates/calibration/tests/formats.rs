@@ -312,6 +312,10 @@ fn a_capture_is_footage_too() {
     assert_rig(&footage.cameras, false);
     assert!(footage.cameras.iter().all(|c| c.masks.is_some()));
     assert!(footage.points.is_empty() && !footage.points_are_complete);
+    assert!(footage.skipped.is_empty());
+    write(&pictures, "init_meta.json", &text);
+    let skipped = read(pictures.path(), "dynamic3dgs").skipped;
+    assert!(skipped.len() == 1 && skipped[0].contains("init_meta.json"), "{skipped:?}");
 
     let rows = [[1.0, 2.0, 3.0, 0.0, 1.0, 0.2, 1.0], [f32::NAN; 7]];
     let file = pictures.path().join("init_pt_cld.npz");
