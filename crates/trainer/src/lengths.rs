@@ -40,13 +40,12 @@ pub fn pixel_length<'a>(gaussians: &Gaussians, cameras: impl IntoIterator<Item =
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::from_points;
     use ffgs_core::{ImageSize, Intrinsics};
     use glam::{DMat4, DVec3};
 
     fn at(places: &[[f32; 3]]) -> Gaussians {
-        let mut gaussians = Gaussians::zeros(places.len(), 0);
-        gaussians.means.copy_from_slice(places);
-        gaussians
+        from_points(places, &vec![[0.5; 3]; places.len()], 0, 0.5)
     }
 
     /// At `z` (m), looking along z.
@@ -67,7 +66,7 @@ mod tests {
         assert_eq!((pixel_length(&ball, &[]), pixel_length(&at(&[]), &rig)), (0.0, 0.0));
     }
 
-    /// Half of the pixels, each twice as large: a step goes twice as far.
+    /// With half of the focal length, a pixel is twice as large.
     #[test]
     fn it_follows_the_resolution_and_the_unit_but_not_how_far_bodies_are_apart() {
         let pair = |apart: f32| at(&[[0.0, 0.0, 10.0], [apart, 0.0, 10.0]]);
@@ -75,6 +74,8 @@ mod tests {
         assert_eq!(near, far);
         assert!(robust_extent(&pair(1.0)) > 5.0 * robust_extent(&pair(0.1)));
         assert_eq!(pixel_length(&pair(0.1), &[camera(0.0, 50.0)]), 2.0 * near);
+        let in_centimetres = at(&[[0.0, 0.0, 1000.0], [10.0, 0.0, 1000.0]]);
+        assert_eq!(pixel_length(&in_centimetres, &[camera(0.0, 100.0)]), 100.0 * near);
     }
 
     #[test]

@@ -38,7 +38,9 @@ fn read(_: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         footage.cameras.extend(split(&test, home, Role::Test)?);
     }
     if file.with_file_name("init_meta.json").is_file() {
-        footage.skipped.push("init_meta.json: its views of the first frame only are left out".to_owned());
+        footage
+            .skipped
+            .push("the views of init_meta.json, which are of frame 0 only, are left out".to_owned());
     }
     let points = file.with_file_name("init_pt_cld.npz");
     if points.is_file() {
