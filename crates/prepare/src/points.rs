@@ -1,13 +1,27 @@
 //! Initial points: matched features, the visual hull for what moves, and samples spread in depth for the rest.
 
+use crate::free_space::FreeSpace;
 use crate::rows::{Row, row};
 use crate::stereo::{self, StereoPoint};
+use crate::sweep::Sweeps;
 use crate::views::{View, load};
 use crate::{PrepareError, Progress};
-use crate::{foreground, spread, sweep};
+use crate::{foreground, free_space, spread};
 use ffgs_arrays::NpzWriter;
 use ffgs_dataset::Capture;
 use glam::DVec3;
+
+/// Parts of the work, for the progress.
+const PARTS: usize = 5;
+
+/// Points that several views agree on.
+struct Matched {
+    points: Vec<StereoPoint>,
+    /// The depths that follow from them.
+    space: FreeSpace,
+    /// Where they come from, in words.
+    account: String,
+}
 
 /// Writes `init_pt_cld.npz`. `known` are points of the calibration's own program. Returns what was done.
 pub(crate) fn make(
@@ -15,32 +29,47 @@ pub(crate) fn make(
     known: &[StereoPoint],
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
-    progress.advance("points", 0, 4);
+    progress.advance("points", 0, PARTS);
     let views = load(capture)?;
-    let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
-    let (mut matched, from) = if known.is_empty() {
-        (stereo::points(&pairs), "matched between cameras")
-    } else {
-        (known.to_vec(), "of the calibration")
-    };
-    let counted = matched.len();
-    progress.advance("points", 1, 4);
-    matched.extend(sweep::points(&pairs, &matched));
-    let swept = matched.len() - counted;
-    progress.advance("points", 2, 4);
-    let mut rows = rows_of(&views, &matched);
-    let moving = foreground::complete(&views, &matched);
-    progress.advance("points", 3, 4);
-    let still = spread::background(&views, &matched);
+    let matched = matched(&views, known, progress);
+    let mut rows = rows_of(&views, &matched.points);
+    let moving = foreground::complete(&views, &matched.points);
+    progress.advance("points", 4, PARTS);
+    let still = matched.space.keep(spread::background(&views, &matched.points));
     let text = format!(
-        "{counted} {from}, {swept} by plane sweeps, {} in the visual hull, {} spread in depth",
+        "{}, {} in the visual hull, {} spread in depth",
+        matched.account,
         moving.hull.len(),
         moving.spread.len() + still.len()
     );
-    rows.extend([moving.hull, moving.spread, still].concat());
+    rows.extend([moving.hull, moving.spread].concat());
+    rows.extend(still.iter().map(|p| row(p.position, p.colour, false)));
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
-    progress.advance("points", 4, 4);
+    progress.advance("points", PARTS, PARTS);
     Ok(text)
+}
+
+/// Points of the calibration, or matched features, and those of plane sweeps. Those of the calibration are kept as they are; of the others, those that sweeps
+/// do not confirm or that views see through are left out.
+fn matched(views: &[View], known: &[StereoPoint], progress: &dyn Progress) -> Matched {
+    let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
+    let features = if known.is_empty() { stereo::points(&pairs) } else { Vec::new() };
+    progress.advance("points", 1, PARTS);
+    let sweeps = Sweeps::new(&pairs, if known.is_empty() { &features } else { known });
+    let swept = sweeps.points();
+    progress.advance("points", 2, PARTS);
+    let (of_features, of_sweeps) = (features.len(), swept.len());
+    let mut found: Vec<StereoPoint> = features.into_iter().filter(|p| sweeps.confirm(p.position)).collect();
+    found.extend(swept);
+    let (points, space) = free_space::consistent(views, known, found);
+    progress.advance("points", 3, PARTS);
+    let first = match known.len() {
+        0 => format!("{of_features} matched between cameras"),
+        count => format!("{count} of the calibration"),
+    };
+    let left_out = known.len() + of_features + of_sweeps - points.len();
+    let account = format!("{first} and {of_sweeps} by plane sweeps ({left_out} in mid-air left out)");
+    Matched { points, space, account }
 }
 
 /// Writes points that need no others.

@@ -26,6 +26,10 @@ const AGREEING: usize = 2;
 const DISTINCT: f32 = 0.03;
 /// Planes beside the best one.
 const BESIDE: usize = 3;
+/// Neighbours that must have found the same place, where there are at least so many; one of fewer. Stripes that repeat look alike in two views
+/// at several depths, but seldom in three.
+const CONFIRMING: usize = 2;
+const MANY: usize = 4;
 /// Largest difference to what a neighbour found (planes).
 const SAME: f64 = 2.0;
 /// The nearest plane, as a share of the distance to the nearest neighbour, where nothing is known of depths.
@@ -56,32 +60,61 @@ struct Depths {
 /// A plane through the point of a pixel at a depth: one of two directions.
 type Normal = DVec3;
 
-/// Points on which at least two views agree with their neighbours. `known` points say how near things are.
-pub(crate) fn points(views: &[(Camera, ImageRgb8)], known: &[StereoPoint]) -> Vec<StereoPoint> {
-    let grey: Vec<Grey> = views.par_iter().map(|(camera, image)| Grey::new(camera, image)).collect();
-    let cameras: Vec<Camera> = views.iter().map(|view| view.0).collect();
-    let neighbours = neighbours(&cameras);
-    let pixels: usize = grey.iter().map(|view| view.camera.size().pixels()).sum();
-    let stride = (pixels as f64 / PIXELS as f64).sqrt().max(1.0);
-    let up = up(&cameras);
-    let depths: Vec<Depths> = (0..grey.len())
-        .map(|view| {
-            let others: Vec<&Grey> = neighbours[view].iter().map(|&other| &grey[other]).collect();
-            Depths::find(&grey[view], &others, up, nearest(&cameras, view, &neighbours[view], known), stride)
-        })
-        .collect();
-    let point = |view: usize, place: usize| {
-        let position = depths[view].point(&grey[view].camera, place)?;
-        let agrees = |&other: &usize| depths[other].holds(&grey[other].camera, position);
-        neighbours[view].iter().any(agrees).then_some(())?;
-        let (camera, image) = &views[view];
+/// The depths that plane sweeps found in all views.
+pub(crate) struct Sweeps<'a> {
+    views: &'a [(Camera, ImageRgb8)],
+    grey: Vec<Grey>,
+    neighbours: Vec<Vec<usize>>,
+    depths: Vec<Depths>,
+}
+
+impl<'a> Sweeps<'a> {
+    /// Sweeps all views. `known` points say how near things are.
+    pub(crate) fn new(views: &'a [(Camera, ImageRgb8)], known: &[StereoPoint]) -> Self {
+        let grey: Vec<Grey> = views.par_iter().map(|(camera, image)| Grey::new(camera, image)).collect();
+        let cameras: Vec<Camera> = views.iter().map(|view| view.0).collect();
+        let neighbours = neighbours(&cameras);
+        let pixels: usize = grey.iter().map(|view| view.camera.size().pixels()).sum();
+        let stride = (pixels as f64 / PIXELS as f64).sqrt().max(1.0);
+        let up = up(&cameras);
+        let depths = (0..grey.len())
+            .map(|view| {
+                let others: Vec<&Grey> = neighbours[view].iter().map(|&other| &grey[other]).collect();
+                let nearest = nearest(&cameras, view, &neighbours[view], known);
+                Depths::find(&grey[view], &others, up, nearest, stride)
+            })
+            .collect();
+        Self { views, grey, neighbours, depths }
+    }
+
+    /// Places that a view and enough of its neighbours found.
+    pub(crate) fn points(&self) -> Vec<StereoPoint> {
+        let of_view = |view: usize| {
+            let places = 0..self.depths[view].inverse.len();
+            places.filter_map(move |place| self.point(view, place))
+        };
+        (0..self.grey.len()).into_par_iter().flat_map_iter(of_view).collect()
+    }
+
+    fn point(&self, view: usize, place: usize) -> Option<StereoPoint> {
+        let position = self.depths[view].point(&self.grey[view].camera, place)?;
+        let neighbours = &self.neighbours[view];
+        let least = if neighbours.len() < MANY { 1 } else { CONFIRMING };
+        (self.finders(neighbours.iter().copied(), position) >= least).then_some(())?;
+        let (camera, image) = &self.views[view];
         let (x, y) = camera.pixel_of(position)?;
         Some(StereoPoint { position, colour: image.pixel(y * image.size().width + x) })
-    };
-    (0..grey.len())
-        .into_par_iter()
-        .flat_map_iter(|view| (0..depths[view].inverse.len()).filter_map(move |place| point(view, place)))
-        .collect()
+    }
+
+    /// Whether a place that was found in another way was found by sweeps, too.
+    pub(crate) fn confirm(&self, position: DVec3) -> bool {
+        self.finders(0..self.grey.len(), position) >= CONFIRMING
+    }
+
+    /// How many of the views found a place.
+    fn finders(&self, views: impl Iterator<Item = usize>, position: DVec3) -> usize {
+        views.filter(|&view| self.depths[view].holds(&self.grey[view].camera, position)).count()
+    }
 }
 
 /// (V) the neighbours of each camera.
@@ -329,7 +362,7 @@ mod tests {
     fn a_wall_and_a_floor_are_found_where_they_are() {
         let shade = |p: DVec3, _| if p.z > WALL - 1e-6 { texture(p.x, p.y) } else { texture(p.x, p.z) };
         let views: Vec<_> = (0..5).map(|i| view(i, shade)).collect();
-        let found = points(&views, &[]);
+        let found = Sweeps::new(&views, &[]).points();
         assert!(found.len() > 5 * SIZE.pixels() / 4, "{} points", found.len());
         let away = |p: &StereoPoint| (p.position.z - WALL).abs().min((p.position.y - FLOOR).abs());
         let mut errors: Vec<f64> = found.iter().map(|p| away(p) / p.position.z).collect();
@@ -349,10 +382,9 @@ mod tests {
             (mixed >> 40) as f64 / (1_u64 << 24) as f64
         };
         let noise: Vec<_> = (0..5).map(|i| view(i, |_, p| hash(i, p))).collect();
-        let found = points(&noise, &[]).len();
-        assert!(found < SIZE.pixels() / 50, "{found} points in noise");
+        let found = |views: &[_]| Sweeps::new(views, &[]).points().len();
+        assert!(found(&noise) < SIZE.pixels() / 50, "{} points in noise", found(&noise));
         let bare: Vec<_> = (0..5).map(|i| view(i, |_, _| 0.6)).collect();
-        assert!(points(&bare, &[]).is_empty());
-        assert!(points(&bare[..1], &[]).is_empty() && points(&[], &[]).is_empty());
+        assert_eq!([found(&bare), found(&bare[..1]), found(&[])], [0; 3]);
     }
 }

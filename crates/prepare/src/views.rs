@@ -3,6 +3,7 @@
 use crate::PrepareError;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// One training view of the first frame.
@@ -10,6 +11,24 @@ pub(crate) struct View {
     pub camera: Camera,
     pub image: ImageRgb8,
     pub mask: Option<Mask>,
+}
+
+impl View {
+    /// Whether the mask contains a pixel of the image.
+    pub(crate) fn is_foreground(&self, pixel: DVec2) -> bool {
+        self.mask.as_ref().is_some_and(|m| m.contains(pixel.x as usize, pixel.y as usize))
+    }
+
+    /// sRGB (0 to 1) of a pixel of the image.
+    pub(crate) fn colour(&self, pixel: DVec2) -> [f32; 3] {
+        self.image.pixel(pixel.y as usize * self.image.size().width + pixel.x as usize)
+    }
+
+    /// The point of a pixel at a depth (m).
+    pub(crate) fn at_depth(&self, pixel: DVec2, depth: f64) -> DVec3 {
+        let ray = self.camera.ray(pixel);
+        self.camera.center() + ray * (depth / ray.dot(self.camera.rotation().row(2)))
+    }
 }
 
 /// Reads them.

@@ -1,0 +1,216 @@
+//! Points in mid-air, found by the views that look through them.
+//!
+//! A view that shows a wall at some place denies all that would stand between: a point of a surface is shown by the views that see it at its own
+//! depth, or is hidden behind something nearer. So a point that more views deny than show is wrong (visibility-based fusion of depth
+//! maps, Merrell et al. 2007). A wrong depth that is too small never speaks against a right point.
+
+use crate::spread::{LEAST_MOVING, LEAST_STILL};
+use crate::stereo::StereoPoint;
+use crate::surfaces::Surfaces;
+use crate::views::View;
+use ffgs_core::Camera;
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Places at which depths are known, over all views, and in a view at least.
+const PLACES: usize = 30_000;
+const LEAST_PLACES: usize = 1_000;
+/// Depths within this factor are the same.
+const SAME: f64 = 1.05;
+/// Rounds in which points are removed and depths found again without them.
+const ROUNDS: usize = 8;
+
+/// The depths that the views know.
+pub(crate) struct FreeSpace {
+    views: Vec<Depths>,
+}
+
+/// The depths of a grid of pixels of a view.
+struct Depths {
+    camera: Camera,
+    /// Pixels from place to place.
+    stride: f64,
+    columns: usize,
+    rows: usize,
+    /// Inverse depth (1/m) per place, row by row; NaN where nothing is known.
+    inverse: Vec<f64>,
+}
+
+/// What a view says of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Verdict {
+    /// It shows a surface there.
+    Shown,
+    /// It shows something farther behind the point.
+    Denied,
+    /// The point is outside the image or hidden, or nothing is known.
+    Silent,
+}
+
+/// The `fixed` points and those of the `found` ones that no majority of views denies, and the depths that follow from them.
+pub(crate) fn consistent(
+    views: &[View],
+    fixed: &[StereoPoint],
+    mut found: Vec<StereoPoint>,
+) -> (Vec<StereoPoint>, FreeSpace) {
+    let mut points = [fixed, &found].concat();
+    let mut space = FreeSpace::new(views, &points);
+    for _ in 0..ROUNDS {
+        let count = found.len();
+        found = space.keep(found);
+        if found.len() == count {
+            break;
+        }
+        points = [fixed, &found].concat();
+        space = FreeSpace::new(views, &points);
+    }
+    (points, space)
+}
+
+impl FreeSpace {
+    fn new(views: &[View], matched: &[StereoPoint]) -> Self {
+        let pixels: usize = views.iter().map(|view| view.camera.size().pixels()).sum();
+        let depths = |view: &View| {
+            let own = view.camera.size().pixels();
+            let places = (PLACES * own / pixels.max(1)).max(LEAST_PLACES);
+            Depths::new(view, matched, (own as f64 / places as f64).sqrt().max(1.0))
+        };
+        Self { views: views.par_iter().map(depths).collect() }
+    }
+
+    /// The points that more views show than deny, and those of which no view knows anything.
+    pub(crate) fn keep(&self, points: Vec<StereoPoint>) -> Vec<StereoPoint> {
+        points.into_par_iter().filter(|point| self.is_surface(point.position)).collect()
+    }
+
+    fn is_surface(&self, point: DVec3) -> bool {
+        let (mut shown, mut denied) = (0, 0);
+        for view in &self.views {
+            match view.verdict(point) {
+                Verdict::Shown => shown += 1,
+                Verdict::Denied => denied += 1,
+                Verdict::Silent => {}
+            }
+        }
+        shown > denied || shown + denied == 0
+    }
+}
+
+impl Depths {
+    fn new(view: &View, matched: &[StereoPoint], stride: f64) -> Self {
+        let size = view.camera.size();
+        let [columns, rows] = [size.width, size.height].map(|side| ((side as f64 / stride) as usize).max(1));
+        let still = Surfaces::still(view, matched, LEAST_STILL);
+        let moving = Surfaces::moving(view, matched, LEAST_MOVING);
+        let inverse = |place: usize| {
+            let pixel = DVec2::new((place % columns) as f64 + 0.5, (place / columns) as f64 + 0.5) * stride;
+            let surfaces = if view.is_foreground(pixel) { &moving } else { &still };
+            surfaces.as_ref().map_or(f64::NAN, |s| s.inverse_depth(pixel, view.colour(pixel)))
+        };
+        let inverse = (0..columns * rows).into_par_iter().map(inverse).collect();
+        Self { camera: view.camera, stride, columns, rows, inverse }
+    }
+
+    /// Judged by the nine places about the point, so that outlines need not lie at the pixel: one that shows it is enough, and all have to deny it.
+    fn verdict(&self, point: DVec3) -> Verdict {
+        let Some(seen) = self.camera.project(point).filter(|p| self.camera.shows(p.pixel)) else {
+            return Verdict::Silent;
+        };
+        let [x, y] = seen.pixel.to_array().map(|v| (v / self.stride) as usize);
+        let near = |at: usize, count: usize| at.min(count - 1).saturating_sub(1)..(at + 2).min(count);
+        let places =
+            near(y, self.rows).flat_map(|row| near(x, self.columns).map(move |column| (row, column)));
+        let mut denied = true;
+        for (row, column) in places {
+            // Of the point's depth over that of the place.
+            let ratio = seen.depth * self.inverse[row * self.columns + column];
+            if ratio > 1.0 / SAME && ratio < SAME {
+                return Verdict::Shown;
+            }
+            denied &= ratio <= 1.0 / SAME;
+        }
+        if denied { Verdict::Denied } else { Verdict::Silent }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask};
+    use glam::DMat4;
+
+    const SIZE: ImageSize = ImageSize { width: 60, height: 40 };
+    const GREY: [f32; 3] = [0.5; 3];
+    /// Depth of a wall (m) before cameras side by side.
+    const WALL: f64 = 6.0;
+
+    fn view(x: f64) -> View {
+        let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 30.0, cy: 20.0 };
+        let pose = DMat4::from_translation(DVec3::new(-x, 0.0, 0.0));
+        View {
+            camera: Camera::new(intrinsics, pose, SIZE).unwrap(),
+            image: ImageRgb8::new(SIZE, vec![128; 3 * SIZE.pixels()]).unwrap(),
+            mask: Some(Mask::filled(SIZE, false)),
+        }
+    }
+
+    fn views() -> Vec<View> {
+        (0..5).map(|i| view(0.3 * f64::from(i) - 0.6)).collect()
+    }
+
+    fn point(x: f64, y: f64, z: f64) -> StereoPoint {
+        StereoPoint { position: DVec3::new(x, y, z), colour: GREY }
+    }
+
+    fn wall() -> Vec<StereoPoint> {
+        (0..1600).map(|i| point(f64::from(i % 40) / 4.0 - 5.0, f64::from(i / 40) / 8.0 - 2.5, WALL)).collect()
+    }
+
+    #[test]
+    fn points_in_mid_air_go_and_the_wall_stays() {
+        // Scattered over the room, as the false matches of single pairs are.
+        let scattered = |i: usize| {
+            let [u, v, w] = [2, 3, 5].map(|base| crate::spread::halton(i, base));
+            let depth = 1.5 + 3.5 * w;
+            point((u - 0.5) * depth, (v - 0.5) * 0.6 * depth, depth)
+        };
+        let wrong: Vec<StereoPoint> = (0..300).map(scattered).collect();
+        let (kept, _) = consistent(&views(), &[], [wall(), wrong.clone()].concat());
+        let wrong_kept = kept.iter().filter(|p| wrong.contains(p)).count();
+        assert_eq!(kept.len() - wrong_kept, wall().len(), "points of the wall are lost");
+        assert!(wrong_kept < wrong.len() / 20, "{wrong_kept} of {} stay", wrong.len());
+    }
+
+    #[test]
+    fn a_thing_before_the_wall_that_most_views_show_stays() {
+        let thing: Vec<StereoPoint> = (0..400)
+            .map(|i| point(f64::from(i % 20) / 20.0 - 0.5, f64::from(i / 20) / 20.0 - 0.5, 3.0))
+            .collect();
+        let hidden = |p: &StereoPoint| p.position.x.abs() < 1.8 && p.position.y.abs() < 1.2;
+        let wall: Vec<StereoPoint> = wall().into_iter().filter(|p| !hidden(p)).collect();
+        let all = [wall, thing].concat();
+        let (kept, space) = consistent(&views(), &[], all.clone());
+        assert_eq!(kept.len(), all.len());
+        assert_eq!(space.keep(vec![point(0.0, 0.0, 2.0)]), vec![], "before the thing");
+        assert_eq!(space.keep(vec![point(0.0, 0.0, 3.02)]).len(), 1, "on the thing");
+    }
+
+    #[test]
+    fn fixed_points_and_what_no_view_knows_stay() {
+        let wrong = vec![point(0.0, 0.0, 2.0)];
+        assert_eq!(consistent(&views(), &wrong, wall()).0.len(), wall().len() + 1);
+        assert_eq!(consistent(&views(), &[], wrong.clone()).0, wrong, "too few points to know anything");
+        assert_eq!(consistent(&views()[..1], &[], wrong.clone()).0, wrong);
+        assert_eq!(consistent(&[], &[], Vec::new()).0, vec![]);
+    }
+
+    #[test]
+    fn a_hidden_point_is_not_denied() {
+        let (_, space) = consistent(&views(), &[], wall());
+        let behind = space.views[2].verdict(DVec3::new(0.0, 0.0, 9.0));
+        let before = space.views[2].verdict(DVec3::new(0.0, 0.0, 3.0));
+        assert_eq!([behind, before], [Verdict::Silent, Verdict::Denied]);
+        assert_eq!(space.views[2].verdict(DVec3::new(0.0, 0.0, 1.01 * WALL)), Verdict::Shown);
+        assert_eq!(space.views[2].verdict(DVec3::new(0.0, 0.0, -1.0)), Verdict::Silent);
+    }
+}
