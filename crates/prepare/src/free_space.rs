@@ -8,26 +8,27 @@ use crate::spread::{LEAST_MOVING, LEAST_STILL};
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
 use crate::views::View;
-use ffgs_core::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Places at which depths are known, over all views, and in a view at least.
 const PLACES: usize = 30_000;
 const LEAST_PLACES: usize = 1_000;
+/// Colours that differ by more are of different things (0 to 1, RMS over the channels); exposures of cameras differ by less.
+const OTHER_COLOUR: f32 = 0.15;
 /// Depths within this factor are the same.
 const SAME: f64 = 1.05;
 /// Rounds in which points are removed and depths found again without them.
 const ROUNDS: usize = 8;
 
 /// The depths that the views know.
-pub(crate) struct FreeSpace {
-    views: Vec<Depths>,
+pub(crate) struct FreeSpace<'a> {
+    views: Vec<Depths<'a>>,
 }
 
 /// The depths of a grid of pixels of a view.
-struct Depths {
-    camera: Camera,
+struct Depths<'a> {
+    view: &'a View,
     /// Pixels from place to place.
     stride: f64,
     columns: usize,
@@ -41,18 +42,18 @@ struct Depths {
 enum Verdict {
     /// It shows a surface there.
     Shown,
-    /// It shows something farther behind the point.
+    /// It shows something farther behind the point, or something of another colour.
     Denied,
     /// The point is outside the image or hidden, or nothing is known.
     Silent,
 }
 
 /// The `fixed` points and those of the `found` ones that no majority of views denies, and the depths that follow from them.
-pub(crate) fn consistent(
-    views: &[View],
+pub(crate) fn consistent<'a>(
+    views: &'a [View],
     fixed: &[StereoPoint],
     mut found: Vec<StereoPoint>,
-) -> (Vec<StereoPoint>, FreeSpace) {
+) -> (Vec<StereoPoint>, FreeSpace<'a>) {
     let mut points = [fixed, &found].concat();
     let mut space = FreeSpace::new(views, &points);
     for _ in 0..ROUNDS {
@@ -67,10 +68,10 @@ pub(crate) fn consistent(
     (points, space)
 }
 
-impl FreeSpace {
-    fn new(views: &[View], matched: &[StereoPoint]) -> Self {
+impl<'a> FreeSpace<'a> {
+    fn new(views: &'a [View], matched: &[StereoPoint]) -> Self {
         let pixels: usize = views.iter().map(|view| view.camera.size().pixels()).sum();
-        let depths = |view: &View| {
+        let depths = |view: &'a View| {
             let own = view.camera.size().pixels();
             let places = (PLACES * own / pixels.max(1)).max(LEAST_PLACES);
             Depths::new(view, matched, (own as f64 / places as f64).sqrt().max(1.0))
@@ -79,14 +80,21 @@ impl FreeSpace {
     }
 
     /// The points that more views show than deny, and those of which no view knows anything.
-    pub(crate) fn keep(&self, points: Vec<StereoPoint>) -> Vec<StereoPoint> {
-        points.into_par_iter().filter(|point| self.is_surface(point.position)).collect()
+    fn keep(&self, points: Vec<StereoPoint>) -> Vec<StereoPoint> {
+        let is_kept = |point: &StereoPoint| self.is_surface(|view| view.verdict(point.position));
+        points.into_par_iter().filter(is_kept).collect()
     }
 
-    fn is_surface(&self, point: DVec3) -> bool {
+    /// The same, where a view that has another colour there denies a point, too: for points that were not found by comparing views.
+    pub(crate) fn keep_alike(&self, points: Vec<StereoPoint>) -> Vec<StereoPoint> {
+        let is_kept = |point: &StereoPoint| self.is_surface(|view| view.verdict_by_colour(point));
+        points.into_par_iter().filter(is_kept).collect()
+    }
+
+    fn is_surface(&self, verdict: impl Fn(&Depths) -> Verdict) -> bool {
         let (mut shown, mut denied) = (0, 0);
         for view in &self.views {
-            match view.verdict(point) {
+            match verdict(view) {
                 Verdict::Shown => shown += 1,
                 Verdict::Denied => denied += 1,
                 Verdict::Silent => {}
@@ -96,8 +104,8 @@ impl FreeSpace {
     }
 }
 
-impl Depths {
-    fn new(view: &View, matched: &[StereoPoint], stride: f64) -> Self {
+impl<'a> Depths<'a> {
+    fn new(view: &'a View, matched: &[StereoPoint], stride: f64) -> Self {
         let size = view.camera.size();
         let [columns, rows] = [size.width, size.height].map(|side| ((side as f64 / stride) as usize).max(1));
         let still = Surfaces::still(view, matched, LEAST_STILL);
@@ -108,20 +116,18 @@ impl Depths {
             surfaces.as_ref().map_or(f64::NAN, |s| s.inverse_depth(pixel, view.colour(pixel)))
         };
         let inverse = (0..columns * rows).into_par_iter().map(inverse).collect();
-        Self { camera: view.camera, stride, columns, rows, inverse }
+        Self { view, stride, columns, rows, inverse }
     }
 
     /// Judged by the nine places about the point, so that outlines need not lie at the pixel: one that shows it is enough, and all have to deny it.
     fn verdict(&self, point: DVec3) -> Verdict {
-        let Some(seen) = self.camera.project(point).filter(|p| self.camera.shows(p.pixel)) else {
+        let camera = &self.view.camera;
+        let Some(seen) = camera.project(point).filter(|p| camera.shows(p.pixel)) else {
             return Verdict::Silent;
         };
         let [x, y] = seen.pixel.to_array().map(|v| (v / self.stride) as usize);
-        let near = |at: usize, count: usize| at.min(count - 1).saturating_sub(1)..(at + 2).min(count);
-        let places =
-            near(y, self.rows).flat_map(|row| near(x, self.columns).map(move |column| (row, column)));
         let mut denied = true;
-        for (row, column) in places {
+        for (column, row) in around([x, y], [self.columns, self.rows]) {
             // Of the point's depth over that of the place.
             let ratio = seen.depth * self.inverse[row * self.columns + column];
             if ratio > 1.0 / SAME && ratio < SAME {
@@ -131,12 +137,38 @@ impl Depths {
         }
         if denied { Verdict::Denied } else { Verdict::Silent }
     }
+
+    fn verdict_by_colour(&self, point: &StereoPoint) -> Verdict {
+        match self.verdict(point.position) {
+            Verdict::Shown if self.has_other_colour(point) => Verdict::Denied,
+            verdict => verdict,
+        }
+    }
+
+    /// Whether a point and all pixels about it differ in colour.
+    fn has_other_colour(&self, point: &StereoPoint) -> bool {
+        let View { camera, image, .. } = self.view;
+        let size = image.size();
+        let differs = |(x, y): (usize, usize)| {
+            let there = image.pixel(y * size.width + x);
+            let square = there.iter().zip(point.colour).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / 3.0;
+            square > OTHER_COLOUR * OTHER_COLOUR
+        };
+        let pixel = camera.pixel_of(point.position);
+        pixel.is_some_and(|(x, y)| around([x, y], [size.width, size.height]).all(differs))
+    }
+}
+
+/// The place of a grid of some size and the eight about it, as far as they are in the grid.
+fn around([x, y]: [usize; 2], [columns, rows]: [usize; 2]) -> impl Iterator<Item = (usize, usize)> {
+    let near = |at: usize, count: usize| at.min(count - 1).saturating_sub(1)..(at + 2).min(count);
+    near(y, rows).flat_map(move |row| near(x, columns).map(move |column| (column, row)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask};
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
     use glam::DMat4;
 
     const SIZE: ImageSize = ImageSize { width: 60, height: 40 };
@@ -189,7 +221,8 @@ mod tests {
         let hidden = |p: &StereoPoint| p.position.x.abs() < 1.8 && p.position.y.abs() < 1.2;
         let wall: Vec<StereoPoint> = wall().into_iter().filter(|p| !hidden(p)).collect();
         let all = [wall, thing].concat();
-        let (kept, space) = consistent(&views(), &[], all.clone());
+        let views = views();
+        let (kept, space) = consistent(&views, &[], all.clone());
         assert_eq!(kept.len(), all.len());
         assert_eq!(space.keep(vec![point(0.0, 0.0, 2.0)]), vec![], "before the thing");
         assert_eq!(space.keep(vec![point(0.0, 0.0, 3.02)]).len(), 1, "on the thing");
@@ -206,11 +239,17 @@ mod tests {
 
     #[test]
     fn a_hidden_point_is_not_denied() {
-        let (_, space) = consistent(&views(), &[], wall());
-        let behind = space.views[2].verdict(DVec3::new(0.0, 0.0, 9.0));
-        let before = space.views[2].verdict(DVec3::new(0.0, 0.0, 3.0));
-        assert_eq!([behind, before], [Verdict::Silent, Verdict::Denied]);
-        assert_eq!(space.views[2].verdict(DVec3::new(0.0, 0.0, 1.01 * WALL)), Verdict::Shown);
-        assert_eq!(space.views[2].verdict(DVec3::new(0.0, 0.0, -1.0)), Verdict::Silent);
+        let views = views();
+        let (_, space) = consistent(&views, &[], wall());
+        let said = |z: f64| space.views[2].verdict(DVec3::new(0.0, 0.0, z));
+        assert_eq!([said(9.0), said(3.0)], [Verdict::Silent, Verdict::Denied]);
+        assert_eq!([said(1.01 * WALL), said(-1.0)], [Verdict::Shown, Verdict::Silent]);
+        let red = StereoPoint { colour: [0.9, 0.2, 0.2], ..point(0.0, 0.0, WALL) };
+        assert_eq!(space.keep(vec![red]), [red]);
+        assert_eq!(
+            space.keep_alike(vec![red, point(0.0, 0.0, WALL)]),
+            [point(0.0, 0.0, WALL)],
+            "the wall is grey"
+        );
     }
 }

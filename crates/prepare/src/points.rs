@@ -15,10 +15,10 @@ use glam::DVec3;
 const PARTS: usize = 5;
 
 /// Points that several views agree on.
-struct Matched {
+struct Matched<'a> {
     points: Vec<StereoPoint>,
     /// The depths that follow from them.
-    space: FreeSpace,
+    space: FreeSpace<'a>,
     /// Where they come from, in words.
     account: String,
 }
@@ -35,7 +35,7 @@ pub(crate) fn make(
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points);
     progress.advance("points", 4, PARTS);
-    let still = matched.space.keep(spread::background(&views, &matched.points));
+    let still = matched.space.keep_alike(spread::background(&views, &matched.points));
     let text = format!(
         "{}, {} in the visual hull, {} spread in depth",
         matched.account,
@@ -51,7 +51,7 @@ pub(crate) fn make(
 
 /// Points of the calibration, or matched features, and those of plane sweeps. Those of the calibration are kept as they are; of the others, those that sweeps
 /// do not confirm or that views see through are left out.
-fn matched(views: &[View], known: &[StereoPoint], progress: &dyn Progress) -> Matched {
+fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress) -> Matched<'a> {
     let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
     let features = if known.is_empty() { stereo::points(&pairs) } else { Vec::new() };
     progress.advance("points", 1, PARTS);
