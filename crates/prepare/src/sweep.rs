@@ -362,7 +362,8 @@ mod tests {
     fn a_wall_and_a_floor_are_found_where_they_are() {
         let shade = |p: DVec3, _| if p.z > WALL - 1e-6 { texture(p.x, p.y) } else { texture(p.x, p.z) };
         let views: Vec<_> = (0..5).map(|i| view(i, shade)).collect();
-        let found = Sweeps::new(&views, &[]).points();
+        let sweeps = Sweeps::new(&views, &[]);
+        let found = sweeps.points();
         assert!(found.len() > 5 * SIZE.pixels() / 4, "{} points", found.len());
         let away = |p: &StereoPoint| (p.position.z - WALL).abs().min((p.position.y - FLOOR).abs());
         let mut errors: Vec<f64> = found.iter().map(|p| away(p) / p.position.z).collect();
@@ -372,6 +373,8 @@ mod tests {
         assert!(errors[errors.len() * 9 / 10] < 0.06, "90 % {}", errors[errors.len() * 9 / 10]);
         let floor = found.iter().filter(|p| p.position.z < 0.8 * WALL && p.position.y > 0.9 * FLOOR).count();
         assert!(floor > found.len() / 10, "{floor} of {} points on the floor", found.len());
+        let confirmed = [WALL, 0.5 * WALL].map(|z| sweeps.confirm(DVec3::new(0.0, -0.5, z)));
+        assert_eq!(confirmed, [true, false], "on the wall, and before it");
     }
 
     #[test]
