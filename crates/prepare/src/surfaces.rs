@@ -50,7 +50,8 @@ impl Surfaces {
     /// Of what the mask shows, from the points that no nearer ones hide: a car has two sides, of which a camera sees one. `None` with fewer
     /// than `least` points.
     pub(crate) fn moving(view: &View, matched: &[StereoPoint], least: usize) -> Option<Self> {
-        Self::new(visible(known(view, matched, true), view.camera.size().width as f64), least)
+        let all = Self::new(known(view, matched, true), least)?;
+        Self::new(all.visible(view.camera.size().width as f64), least)
     }
 
     fn new(known: Vec<Known>, least: usize) -> Option<Self> {
@@ -59,6 +60,19 @@ impl Surfaces {
         }
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.pixel.to_array()).collect();
         Some(Self { tree: ImmutableKdTree::new_from_slice(&places).ok()?, known })
+    }
+
+    /// Points that no nearer ones hide, in an image of a width (px).
+    fn visible(&self, width: f64) -> Vec<Known> {
+        let (count, nearer, share) = HIDING;
+        let reach = share * width;
+        let is_visible = |k: &&Known| {
+            let place = k.pixel.to_array();
+            let query = self.tree.query(&place);
+            let around = query.within::<SquaredEuclidean<f64>>(reach * reach).unsorted().execute();
+            around.iter().filter(|n| self.known[n.item as usize].inverse > nearer * k.inverse).count() < count
+        };
+        self.known.iter().filter(is_visible).copied().collect()
     }
 
     /// Inverse depth (1/m) at a pixel of a colour: of the affine function of the pixel that fits the inverse depths round it.
@@ -99,17 +113,6 @@ fn known(view: &View, matched: &[StereoPoint], foreground: bool) -> Vec<Known> {
     let seen = matched.iter().filter_map(|p| view.camera.project(p.position));
     let seen = seen.filter(|p| view.camera.shows(p.pixel) && view.is_foreground(p.pixel) == foreground);
     seen.map(|p| Known { pixel: p.pixel, inverse: 1.0 / p.depth, colour: view.colour(p.pixel) }).collect()
-}
-
-/// Points that no nearer ones hide.
-fn visible(known: Vec<Known>, width: f64) -> Vec<Known> {
-    let (count, nearer, share) = HIDING;
-    let hides = |k: &Known, other: &Known| {
-        other.inverse > nearer * k.inverse && other.pixel.distance(k.pixel) < share * width
-    };
-    let hidden: Vec<bool> =
-        known.iter().map(|k| known.iter().filter(|other| hides(k, other)).count() >= count).collect();
-    known.into_iter().zip(hidden).filter(|(_, hidden)| !hidden).map(|(k, _)| k).collect()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
