@@ -49,8 +49,8 @@ pub(crate) fn make(
     Ok(text)
 }
 
-/// Points of the calibration, or matched features, and those of plane sweeps. Those of the calibration are kept as they are; of the others, those that sweeps
-/// do not confirm or that views see through are left out.
+/// Points of the calibration, or matched features, and those of plane sweeps. Those of the calibration are kept as they are. Left out are features that
+/// sweeps do not confirm, where these find anything, and what views look through.
 fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress) -> Matched<'a> {
     let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
     let features = if known.is_empty() { stereo::points(&pairs) } else { Vec::new() };
@@ -59,7 +59,8 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     let swept = sweeps.points();
     progress.advance("points", 2, PARTS);
     let (of_features, of_sweeps) = (features.len(), swept.len());
-    let mut found: Vec<StereoPoint> = features.into_iter().filter(|p| sweeps.confirm(p.position)).collect();
+    let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
+    let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
     found.extend(swept);
     let (points, space) = free_space::consistent(views, known, found);
     progress.advance("points", 3, PARTS);
