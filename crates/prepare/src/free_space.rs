@@ -4,7 +4,6 @@
 //! depth, or is hidden behind something nearer. So a point that more views deny than show is wrong (visibility-based fusion of depth
 //! maps, Merrell et al. 2007). A wrong depth that is too small never speaks against a right point.
 
-use crate::spread::{LEAST_MOVING, LEAST_STILL};
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
 use crate::views::View;
@@ -108,8 +107,8 @@ impl<'a> Depths<'a> {
     fn new(view: &'a View, matched: &[StereoPoint], stride: f64) -> Self {
         let size = view.camera.size();
         let [columns, rows] = [size.width, size.height].map(|side| ((side as f64 / stride) as usize).max(1));
-        let still = Surfaces::still(view, matched, LEAST_STILL);
-        let moving = Surfaces::moving(view, matched, LEAST_MOVING);
+        let still = Surfaces::still(view, matched);
+        let moving = Surfaces::moving(view, matched);
         let inverse = |place: usize| {
             let pixel = DVec2::new((place % columns) as f64 + 0.5, (place / columns) as f64 + 0.5) * stride;
             let surfaces = if view.is_foreground(pixel) { &moving } else { &still };

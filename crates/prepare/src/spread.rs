@@ -11,9 +11,6 @@ use rayon::prelude::*;
 /// Points of the background that are made at most, over all views, and of the foreground.
 const STILL: usize = 7_000;
 const MOVING: usize = 4_000;
-/// With fewer matched points in a view their depths say nothing of the scene, or of the foreground.
-pub(crate) const LEAST_STILL: usize = 100;
-pub(crate) const LEAST_MOVING: usize = 16;
 
 /// Pixels of every view, outside its mask, at depths that continue those of the matched points; where there are too few, at
 /// depths from a quarter to four times that of the scene.
@@ -22,7 +19,7 @@ pub(crate) fn background(views: &[View], matched: &[StereoPoint]) -> Vec<StereoP
     let region = common_region(&cameras);
     let per_view = STILL.div_ceil(views.len());
     let of_view = |view: &View| {
-        let surfaces = Surfaces::still(view, matched, LEAST_STILL);
+        let surfaces = Surfaces::still(view, matched);
         (0..per_view).filter_map(|i| sample(view, i, surfaces.as_ref(), region)).collect::<Vec<_>>()
     };
     views.par_iter().map(of_view).collect::<Vec<_>>().concat()
@@ -31,7 +28,7 @@ pub(crate) fn background(views: &[View], matched: &[StereoPoint]) -> Vec<StereoP
 /// Pixels of the mask of a view, one of `views`, at depths that continue those of the points that were `matched` on the foreground; none
 /// where too few of them are seen.
 pub(crate) fn foreground(view: &View, views: usize, matched: &[StereoPoint]) -> Vec<StereoPoint> {
-    let (Some(surfaces), Some(mask)) = (Surfaces::moving(view, matched, LEAST_MOVING), &view.mask) else {
+    let (Some(surfaces), Some(mask)) = (Surfaces::moving(view, matched), &view.mask) else {
         return Vec::new();
     };
     let width = view.camera.size().width;

@@ -9,6 +9,9 @@ use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use std::num::NonZero;
 
+/// With fewer matched points in a view their depths say nothing of the scene, or of the foreground.
+const LEAST_STILL: usize = 100;
+const LEAST_MOVING: usize = 16;
 /// A point is hidden by so many that are nearer by this factor, within this share of the image's width.
 const HIDING: (usize, f64, f64) = (3, 1.05, 0.02);
 /// Matched points round a pixel that tell its depth.
@@ -42,16 +45,16 @@ pub(crate) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Of all that is outside the mask; `None` with fewer than `least` points.
-    pub(crate) fn still(view: &View, matched: &[StereoPoint], least: usize) -> Option<Self> {
-        Self::new(known(view, matched, false), least)
+    /// Of all that is outside the mask; `None` with too few points.
+    pub(crate) fn still(view: &View, matched: &[StereoPoint]) -> Option<Self> {
+        Self::new(known(view, matched, false), LEAST_STILL)
     }
 
-    /// Of what the mask shows, from the points that no nearer ones hide: a car has two sides, of which a camera sees one. `None` with fewer
-    /// than `least` points.
-    pub(crate) fn moving(view: &View, matched: &[StereoPoint], least: usize) -> Option<Self> {
-        let all = Self::new(known(view, matched, true), least)?;
-        Self::new(all.visible(view.camera.size().width as f64), least)
+    /// Of what the mask shows, from the points that no nearer ones hide: a car has two sides, of which a camera sees one. `None` with too
+    /// few points.
+    pub(crate) fn moving(view: &View, matched: &[StereoPoint]) -> Option<Self> {
+        let all = Self::new(known(view, matched, true), LEAST_MOVING)?;
+        Self::new(all.visible(view.camera.size().width as f64), LEAST_MOVING)
     }
 
     fn new(known: Vec<Known>, least: usize) -> Option<Self> {
