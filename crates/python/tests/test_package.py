@@ -72,6 +72,15 @@ def test_frames_of_a_run_are_read_and_look_like_the_photographs(run, capture):
         run[7]
 
 
+@pytest.fixture
+def interruptible():
+    """Python's own handler: a shell's background jobs, and what they start, ignore interrupts from the keyboard."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_ends_a_run_after_the_frame_at_work(tmp_path):
     out = tmp_path / "out"
     # Frames that take a second each: on a busy machine the signal may come late.
