@@ -4,10 +4,12 @@
 //! depth, or is hidden behind something nearer. So a point that more views deny than show is wrong (visibility-based fusion of depth
 //! maps, Merrell et al. 2007). A wrong depth that is too small never speaks against a right point.
 
+use crate::ground::Ground;
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
 use crate::views::View;
-use glam::{DVec2, DVec3};
+use crate::windows::{grid, pixel};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Places at which depths are known, over all views, and in a view at least.
@@ -52,9 +54,10 @@ pub(crate) fn consistent<'a>(
     views: &'a [View],
     fixed: &[StereoPoint],
     mut found: Vec<StereoPoint>,
+    ground: Option<Ground>,
 ) -> (Vec<StereoPoint>, FreeSpace<'a>) {
     let mut points = [fixed, &found].concat();
-    let mut space = FreeSpace::new(views, &points);
+    let mut space = FreeSpace::new(views, &points, ground);
     for _ in 0..ROUNDS {
         let count = found.len();
         found = space.keep(found);
@@ -62,18 +65,18 @@ pub(crate) fn consistent<'a>(
             break;
         }
         points = [fixed, &found].concat();
-        space = FreeSpace::new(views, &points);
+        space = FreeSpace::new(views, &points, ground);
     }
     (points, space)
 }
 
 impl<'a> FreeSpace<'a> {
-    fn new(views: &'a [View], matched: &[StereoPoint]) -> Self {
+    fn new(views: &'a [View], matched: &[StereoPoint], ground: Option<Ground>) -> Self {
         let pixels: usize = views.iter().map(|view| view.camera.size().pixels()).sum();
         let depths = |view: &'a View| {
             let own = view.camera.size().pixels();
             let places = (PLACES * own / pixels.max(1)).max(LEAST_PLACES);
-            Depths::new(view, matched, (own as f64 / places as f64).sqrt().max(1.0))
+            Depths::new(view, matched, ground, (own as f64 / places as f64).sqrt().max(1.0))
         };
         Self { views: views.par_iter().map(depths).collect() }
     }
@@ -104,13 +107,12 @@ impl<'a> FreeSpace<'a> {
 }
 
 impl<'a> Depths<'a> {
-    fn new(view: &'a View, matched: &[StereoPoint], stride: f64) -> Self {
-        let size = view.camera.size();
-        let [columns, rows] = [size.width, size.height].map(|side| ((side as f64 / stride) as usize).max(1));
-        let still = Surfaces::still(view, matched);
+    fn new(view: &'a View, matched: &[StereoPoint], ground: Option<Ground>, stride: f64) -> Self {
+        let [columns, rows] = grid(view.camera.size(), stride);
+        let still = Surfaces::still(view, matched, ground);
         let moving = Surfaces::moving(view, matched);
         let inverse = |place: usize| {
-            let pixel = DVec2::new((place % columns) as f64 + 0.5, (place / columns) as f64 + 0.5) * stride;
+            let pixel = pixel(place, columns, stride);
             let surfaces = if view.is_foreground(pixel) { &moving } else { &still };
             surfaces.as_ref().map_or(f64::NAN, |s| s.inverse_depth(pixel, view.colour(pixel)))
         };
@@ -206,7 +208,7 @@ mod tests {
             point((u - 0.5) * depth, (v - 0.5) * 0.6 * depth, depth)
         };
         let wrong: Vec<StereoPoint> = (0..300).map(scattered).collect();
-        let (kept, _) = consistent(&views(), &[], [wall(), wrong.clone()].concat());
+        let (kept, _) = consistent(&views(), &[], [wall(), wrong.clone()].concat(), None);
         let wrong_kept = kept.iter().filter(|p| wrong.contains(p)).count();
         assert_eq!(kept.len() - wrong_kept, wall().len(), "points of the wall are lost");
         assert!(wrong_kept < wrong.len() / 20, "{wrong_kept} of {} stay", wrong.len());
@@ -221,7 +223,7 @@ mod tests {
         let wall: Vec<StereoPoint> = wall().into_iter().filter(|p| !hidden(p)).collect();
         let all = [wall, thing].concat();
         let views = views();
-        let (kept, space) = consistent(&views, &[], all.clone());
+        let (kept, space) = consistent(&views, &[], all.clone(), None);
         assert_eq!(kept.len(), all.len());
         assert_eq!(space.keep(vec![point(0.0, 0.0, 2.0)]), vec![], "before the thing");
         assert_eq!(space.keep(vec![point(0.0, 0.0, 3.02)]).len(), 1, "on the thing");
@@ -230,16 +232,20 @@ mod tests {
     #[test]
     fn fixed_points_and_what_no_view_knows_stay() {
         let wrong = vec![point(0.0, 0.0, 2.0)];
-        assert_eq!(consistent(&views(), &wrong, wall()).0.len(), wall().len() + 1);
-        assert_eq!(consistent(&views(), &[], wrong.clone()).0, wrong, "too few points to know anything");
-        assert_eq!(consistent(&views()[..1], &[], wrong.clone()).0, wrong);
-        assert_eq!(consistent(&[], &[], Vec::new()).0, vec![]);
+        assert_eq!(consistent(&views(), &wrong, wall(), None).0.len(), wall().len() + 1);
+        assert_eq!(
+            consistent(&views(), &[], wrong.clone(), None).0,
+            wrong,
+            "too few points to know anything"
+        );
+        assert_eq!(consistent(&views()[..1], &[], wrong.clone(), None).0, wrong);
+        assert_eq!(consistent(&[], &[], Vec::new(), None).0, vec![]);
     }
 
     #[test]
     fn a_hidden_point_is_not_denied() {
         let views = views();
-        let (_, space) = consistent(&views, &[], wall());
+        let (_, space) = consistent(&views, &[], wall(), None);
         let said = |z: f64| space.views[2].verdict(DVec3::new(0.0, 0.0, z));
         assert_eq!([said(9.0), said(3.0)], [Verdict::Silent, Verdict::Denied]);
         assert_eq!([said(1.01 * WALL), said(-1.0)], [Verdict::Shown, Verdict::Silent]);

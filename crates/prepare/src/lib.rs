@@ -10,11 +10,14 @@ mod error;
 mod extraction;
 mod foreground;
 mod free_space;
+mod ground;
 mod hull;
 mod in_place;
 mod journal;
 mod masks;
 mod networks;
+#[cfg(test)]
+mod painted;
 mod pictures;
 mod points;
 mod preparation;
@@ -34,6 +37,7 @@ mod tracks;
 mod unexplained;
 mod video;
 mod views;
+mod windows;
 
 pub use conversion::{Layout, convert};
 pub use error::PrepareError;

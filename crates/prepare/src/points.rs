@@ -1,10 +1,12 @@
-//! Initial points: matched features, the visual hull for what moves, and samples spread in depth for the rest.
+//! Initial points: matched features and surfaces, the ground, the visual hull for what moves, and samples spread in depth for the rest.
 
 use crate::free_space::FreeSpace;
+use crate::ground::Ground;
 use crate::rows::{Row, row};
 use crate::stereo::{self, StereoPoint};
 use crate::sweep::Sweeps;
 use crate::views::{View, load};
+use crate::windows::Pictures;
 use crate::{PrepareError, Progress};
 use crate::{foreground, free_space, spread};
 use ffgs_arrays::NpzWriter;
@@ -12,13 +14,15 @@ use ffgs_dataset::Capture;
 use glam::DVec3;
 
 /// Parts of the work, for the progress.
-const PARTS: usize = 5;
+const PARTS: usize = 6;
 
 /// Points that several views agree on.
 struct Matched<'a> {
     points: Vec<StereoPoint>,
     /// The depths that follow from them.
     space: FreeSpace<'a>,
+    /// The plane beneath which nothing is seen.
+    ground: Option<Ground>,
     /// Where they come from, in words.
     account: String,
 }
@@ -34,8 +38,8 @@ pub(crate) fn make(
     let matched = matched(&views, known, progress);
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points);
-    progress.advance("points", 4, PARTS);
-    let still = matched.space.keep_alike(spread::background(&views, &matched.points));
+    progress.advance("points", 5, PARTS);
+    let still = matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground));
     let text = format!(
         "{}, {} in the visual hull, {} spread in depth",
         matched.account,
@@ -49,28 +53,41 @@ pub(crate) fn make(
     Ok(text)
 }
 
-/// Points of the calibration, or matched features, and those of plane sweeps. Those of the calibration are kept as they are. Left out are features that
-/// sweeps do not confirm, where these find anything, and what views look through.
+/// Points of the calibration, or matched features, those of plane sweeps and those of the ground. Those of the calibration are kept as they are. Left out are
+/// features that sweeps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
 fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress) -> Matched<'a> {
-    let pairs: Vec<_> = views.iter().map(|v| (v.camera, v.image.clone())).collect();
-    let features = if known.is_empty() { stereo::points(&pairs) } else { Vec::new() };
+    let features = if known.is_empty() { stereo::points(views) } else { Vec::new() };
     progress.advance("points", 1, PARTS);
-    let sweeps = Sweeps::new(&pairs, if known.is_empty() { &features } else { known });
+    let pictures = Pictures::new(views);
+    let sweeps = Sweeps::new(&pictures, if known.is_empty() { &features } else { known });
     let swept = sweeps.points();
     progress.advance("points", 2, PARTS);
-    let (of_features, of_sweeps) = (features.len(), swept.len());
+    let ground = Ground::find(&pictures);
+    let on_ground = ground.map_or_else(Vec::new, |ground| ground.points(&pictures));
+    progress.advance("points", 3, PARTS);
+    let counts = [features.len(), swept.len(), on_ground.len()];
     let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
     let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
-    found.extend(swept);
-    let (points, space) = free_space::consistent(views, known, found);
-    progress.advance("points", 3, PARTS);
-    let first = match known.len() {
-        0 => format!("{of_features} matched between cameras"),
-        count => format!("{count} of the calibration"),
+    found.extend(&swept);
+    found.retain(|p| ground.is_none_or(|ground| !ground.hides(views, p.position)));
+    found.extend(on_ground);
+    let (points, space) = free_space::consistent(views, known, found, ground);
+    progress.advance("points", 4, PARTS);
+    let account = account(known.len(), counts, points.len());
+    Matched { points, space, ground, account }
+}
+
+/// In words: how many points there are of the calibration, of features, sweeps and the ground, and how many of all these are left.
+fn account(known: usize, [features, swept, on_ground]: [usize; 3], left: usize) -> String {
+    let first = if known > 0 {
+        format!("{known} of the calibration")
+    } else {
+        format!("{features} matched between cameras")
     };
-    let left_out = known.len() + of_features + of_sweeps - points.len();
-    let account = format!("{first} and {of_sweeps} by plane sweeps ({left_out} in mid-air left out)");
-    Matched { points, space, account }
+    let left_out = known + features + swept + on_ground - left;
+    format!(
+        "{first}, {swept} by plane sweeps and {on_ground} on the ground ({left_out} of them in mid-air or beneath it left out)"
+    )
 }
 
 /// Writes points that need no others.

@@ -1,5 +1,6 @@
 //! Points where nothing was matched: pixels at depths that continue those of the matched points around them.
 
+use crate::ground::Ground;
 use crate::hull::{Region, common_region};
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
@@ -14,12 +15,16 @@ const MOVING: usize = 4_000;
 
 /// Pixels of every view, outside its mask, at depths that continue those of the matched points; where there are too few, at
 /// depths from a quarter to four times that of the scene.
-pub(crate) fn background(views: &[View], matched: &[StereoPoint]) -> Vec<StereoPoint> {
+pub(crate) fn background(
+    views: &[View],
+    matched: &[StereoPoint],
+    ground: Option<Ground>,
+) -> Vec<StereoPoint> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let region = common_region(&cameras);
     let per_view = STILL.div_ceil(views.len());
     let of_view = |view: &View| {
-        let surfaces = Surfaces::still(view, matched);
+        let surfaces = Surfaces::still(view, matched, ground);
         (0..per_view).filter_map(|i| sample(view, i, surfaces.as_ref(), region)).collect::<Vec<_>>()
     };
     views.par_iter().map(of_view).collect::<Vec<_>>().concat()

@@ -1,6 +1,7 @@
 //! Points from descriptors that are matched between neighbouring cameras along epipolar lines.
 
-use ffgs_core::{Camera, ImageRgb8};
+use crate::views::View;
+use ffgs_core::Camera;
 use ffgs_trackers::{Frame, TrackerConfig, nearest_two};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -28,10 +29,10 @@ pub(crate) struct StereoPoint {
 }
 
 /// All points that pairs of neighbouring cameras agree on.
-pub(crate) fn points(views: &[(Camera, ImageRgb8)]) -> Vec<StereoPoint> {
+pub(crate) fn points(views: &[View]) -> Vec<StereoPoint> {
     let config = TrackerConfig { corners: 2 * KEYPOINTS, described: KEYPOINTS, ..TrackerConfig::default() };
-    let frames: Vec<Frame> = views.par_iter().map(|(_, image)| Frame::new(image, None, &config)).collect();
-    let cameras: Vec<Camera> = views.iter().map(|v| v.0).collect();
+    let frames: Vec<Frame> = views.par_iter().map(|view| Frame::new(&view.image, None, &config)).collect();
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
     let found: Vec<Vec<StereoPoint>> =
         pairs(&cameras).into_par_iter().map(|(a, b)| pair_points(views, &frames, a, b)).collect();
     found.concat()
@@ -54,8 +55,8 @@ pub(crate) fn pairs(cameras: &[Camera]) -> Vec<(usize, usize)> {
     out
 }
 
-fn pair_points(views: &[(Camera, ImageRgb8)], frames: &[Frame], a: usize, b: usize) -> Vec<StereoPoint> {
-    let (first, second) = (&views[a].0, &views[b].0);
+fn pair_points(views: &[View], frames: &[Frame], a: usize, b: usize) -> Vec<StereoPoint> {
+    let (first, second) = (&views[a].camera, &views[b].camera);
     let there = along_lines(first, second, &frames[a], &frames[b]);
     let back = along_lines(second, first, &frames[b], &frames[a]);
     let point = |(i, found): (usize, &Option<usize>)| {
@@ -63,9 +64,7 @@ fn pair_points(views: &[(Camera, ImageRgb8)], frames: &[Frame], a: usize, b: usi
         (back[j] == Some(i)).then_some(())?;
         let (p, q) = (pixel(frames[a].keypoints()[i]), pixel(frames[b].keypoints()[j]));
         let position = between(first, p, second, q)?;
-        let image = &views[a].1;
-        let colour = image.pixel(p.y as usize * image.size().width + p.x as usize);
-        Some(StereoPoint { position, colour })
+        Some(StereoPoint { position, colour: views[a].colour(p) })
     };
     there.iter().enumerate().filter_map(point).collect()
 }

@@ -3,8 +3,10 @@
 //! On a plane the inverse depth is affine in the pixel (Gallup et al. 2010), and what has one colour is mostly one surface. So a
 //! pixel of a bare road gets the affine function that fits the points around it best, those of its own colour above all.
 
+use crate::ground::Ground;
 use crate::stereo::StereoPoint;
 use crate::views::View;
+use ffgs_core::Camera;
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use std::num::NonZero;
@@ -42,12 +44,15 @@ struct Known {
 pub(crate) struct Surfaces {
     known: Vec<Known>,
     tree: ImmutableKdTree<f64, 2>,
+    /// The camera, and what it does not see through.
+    floor: Option<(Camera, Ground)>,
 }
 
 impl Surfaces {
-    /// Of all that is outside the mask; `None` with too few points.
-    pub(crate) fn still(view: &View, matched: &[StereoPoint]) -> Option<Self> {
-        Self::new(known(view, matched, false), LEAST_STILL)
+    /// Of all that is outside the mask, none of it beneath the ground; `None` with too few points.
+    pub(crate) fn still(view: &View, matched: &[StereoPoint], ground: Option<Ground>) -> Option<Self> {
+        let surfaces = Self::new(known(view, matched, false), LEAST_STILL)?;
+        Some(Self { floor: ground.map(|ground| (view.camera, ground)), ..surfaces })
     }
 
     /// Of what the mask shows, from the points that no nearer ones hide: a car has two sides, of which a camera sees one. `None` with too
@@ -62,7 +67,7 @@ impl Surfaces {
             return None;
         }
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.pixel.to_array()).collect();
-        Some(Self { tree: ImmutableKdTree::new_from_slice(&places).ok()?, known })
+        Some(Self { tree: ImmutableKdTree::new_from_slice(&places).ok()?, known, floor: None })
     }
 
     /// Points that no nearer ones hide, in an image of a width (px).
@@ -107,7 +112,13 @@ impl Surfaces {
         let range = near
             .iter()
             .fold((f64::INFINITY, 0.0_f64), |(low, high), k| (low.min(k.inverse), high.max(k.inverse)));
-        fit.x.clamp(range.0 / BEYOND, range.1 * BEYOND)
+        let fitted = fit.x.clamp(range.0 / BEYOND, range.1 * BEYOND);
+        fitted.max(self.of_floor(pixel))
+    }
+
+    /// Inverse depth (1/m) of the ground at a pixel; 0 above the horizon.
+    fn of_floor(&self, pixel: DVec2) -> f64 {
+        self.floor.and_then(|(camera, ground)| ground.depth(&camera, pixel)).map_or(0.0, |depth| 1.0 / depth)
     }
 }
 
@@ -132,6 +143,7 @@ fn alike(a: [f32; 3], b: [f32; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::painted::{painted, view};
 
     const GREY: [f32; 3] = [0.4; 3];
 
@@ -167,6 +179,19 @@ mod tests {
         let (pixel, points) = (DVec2::new(45.0, 45.0), surfaces(points));
         let found = points.inverse_depth(pixel, GREY);
         assert!((found / inverse(pixel) - 1.0).abs() < 0.1, "{found} not {}", inverse(pixel));
+    }
+
+    /// Points far beneath a road, as a mirror image has them: the road is nearer.
+    #[test]
+    fn nothing_is_seen_through_the_ground() {
+        let camera = view(0, painted).camera;
+        let ground = Ground::new(DVec3::NEG_Y, -1.0);
+        let mirrored = surfaces(rim().map(|p| (p, 0.02, GREY)));
+        let surfaces = Surfaces { floor: Some((camera, ground)), ..mirrored };
+        let [below, above] = [40.0, 20.0].map(|y| surfaces.inverse_depth(DVec2::new(45.0, y), GREY));
+        // 16 pixels below the horizon at a focal length of 60.
+        assert!((below - 16.0 / 60.0).abs() < 1e-9, "{below}");
+        assert!((above - 0.02).abs() < 0.001, "{above}");
     }
 
     #[test]

@@ -26,9 +26,14 @@ impl View {
 
     /// The point of a pixel at a depth (m).
     pub(crate) fn at_depth(&self, pixel: DVec2, depth: f64) -> DVec3 {
-        let ray = self.camera.ray(pixel);
-        self.camera.center() + ray * (depth / ray.dot(self.camera.rotation().row(2)))
+        at_depth(&self.camera, pixel, depth)
     }
+}
+
+/// The point of a pixel of a camera at a depth (m).
+pub(crate) fn at_depth(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
+    let ray = camera.ray(pixel);
+    camera.center() + ray * (depth / ray.dot(camera.rotation().row(2)))
 }
 
 /// Reads them.

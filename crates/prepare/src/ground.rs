@@ -1,0 +1,231 @@
+//! The ground: the plane beneath all cameras on which most of the pictures agree.
+//!
+//! A bare road shows nothing to match at a single pixel, and cameras near it see it too flat. But its markings, kerbs and shadows agree between the
+//! views on one plane, and thousands of windows together tell where that plane is (docs/adr/0067-the-ground-is-a-plane.md).
+
+use crate::stereo::StereoPoint;
+use crate::views::View;
+use crate::windows::{Grey, Patch, Pictures, Window, grid, pixel, up};
+use ffgs_core::Camera;
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Windows that are compared to find the plane, over all views, and to find points on it.
+const SAMPLES: usize = 8_000;
+const PIXELS: usize = 30_000;
+/// Least correlation with a neighbour of a window that agrees.
+const AGREES: f32 = 0.7;
+/// By this more than on planes that are farther and nearer by a factor: what hardly moves between two views agrees everywhere.
+const CLEARER: f32 = 0.05;
+const BESIDE: f64 = 1.1;
+/// Largest ratio of the areas in which two views show a pixel, where the plane is sought: what is stretched is smooth, and resembles anything smooth.
+const STRETCH: f64 = 5.0;
+/// Planes are tried from the first to the second of these shares of the rig's extent beneath the lowest camera, each deeper by a ratio than
+/// the one before.
+const BENEATH: [f64; 2] = [0.01, 2.0];
+const DEEPER: f64 = 1.02;
+/// Steps in which the best plane is tilted (radians), and lowered or raised (shares of its distance).
+const STEPS: [f64; 4] = [0.04, 0.02, 0.01, 0.005];
+/// Steps of one size at most.
+const REPEATS: usize = 8;
+/// Largest tilt of the ground (radians).
+const STEEPEST: f64 = 0.12;
+/// Least share of the windows that agree on the ground, and how many times as many as on the planes tried, in the median.
+const LEAST_SHARE: f64 = 0.03;
+const DISTINCT: f64 = 3.0;
+/// What is farther than the ground by this factor in all views lies beneath it.
+const FARTHER: f64 = 1.1;
+
+/// A plane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ground {
+    /// Of length 1, upwards.
+    normal: DVec3,
+    /// `normal . x` of its points (m).
+    offset: f64,
+}
+
+/// A window of a view, outside of its mask.
+struct Sample {
+    view: usize,
+    pixel: DVec2,
+    window: Window,
+}
+
+/// How many windows agree on a plane.
+type Support<'a> = &'a dyn Fn(&Ground) -> usize;
+
+impl Ground {
+    /// `None` where no plane stands out.
+    pub(crate) fn find(pictures: &Pictures) -> Option<Self> {
+        let samples = samples(pictures, SAMPLES);
+        let support =
+            |plane: &Self| samples.par_iter().map(|s| plane.witnesses(pictures, s, STRETCH)).sum::<usize>();
+        let tried: Vec<(usize, Self)> =
+            level_planes(&pictures.grey)?.map(|plane| (support(&plane), plane)).collect();
+        let mut counts: Vec<usize> = tried.iter().map(|(count, _)| *count).collect();
+        counts.sort_unstable();
+        let best = tried.into_iter().max_by_key(|(count, _)| *count)?;
+        let (count, plane) = refine(best, &pictures.grey, &support);
+        let least = (LEAST_SHARE * samples.len() as f64).max(DISTINCT * counts[counts.len() / 2] as f64);
+        (count as f64 > least).then_some(plane)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn new(normal: DVec3, offset: f64) -> Self {
+        Self { normal, offset }
+    }
+
+    /// Depth (m) at which a pixel shows it; `None` at and above the horizon.
+    pub(crate) fn depth(&self, camera: &Camera, pixel: DVec2) -> Option<f64> {
+        let ray = camera.ray(pixel);
+        let along = (self.offset - camera.center().dot(self.normal)) / ray.dot(self.normal);
+        (along > 0.0 && along.is_finite()).then(|| along * ray.dot(camera.rotation().row(2)))
+    }
+
+    /// Its points at pixels outside of the masks at which the views agree.
+    pub(crate) fn points(&self, pictures: &Pictures) -> Vec<StereoPoint> {
+        let point = |sample: Sample| {
+            let depth = self.depth(&pictures.grey[sample.view].camera, sample.pixel)?;
+            (self.witnesses(pictures, &sample, f64::INFINITY) > 0)
+                .then(|| pictures.point(sample.view, sample.pixel, depth))
+        };
+        samples(pictures, PIXELS).into_par_iter().filter_map(point).collect()
+    }
+
+    /// Whether a point lies beneath it for all views that show the point.
+    pub(crate) fn hides(&self, views: &[View], point: DVec3) -> bool {
+        let mut seen = views.iter().filter_map(|View { camera, .. }| {
+            Some((camera, camera.project(point).filter(|p| camera.shows(p.pixel))?))
+        });
+        seen.all(|(camera, p)| self.depth(camera, p.pixel).is_some_and(|depth| p.depth > FARTHER * depth))
+    }
+
+    /// Neighbours of the sample's view that show what its window shows on the plane, and less of it a little before and behind. Views in which the
+    /// window's area differs by more than a factor do not count.
+    fn witnesses(&self, pictures: &Pictures, sample: &Sample, stretch: f64) -> usize {
+        let camera = &pictures.grey[sample.view].camera;
+        let Some(depth) = self.depth(camera, sample.pixel) else { return 0 };
+        let patch = |depth: f64| Patch::new(camera, sample.pixel, depth, self.normal);
+        let [Some(here), Some(before), Some(behind)] = [depth, depth / BESIDE, depth * BESIDE].map(patch)
+        else {
+            return 0;
+        };
+        let correlation = |other: &Grey, patch: &Patch| {
+            let look = other.look(patch).filter(|look| (1.0 / stretch..stretch).contains(&look.area()))?;
+            other.correlation(look, &sample.window)
+        };
+        let agrees = |other: &&Grey| {
+            let less = |found: f32| {
+                let beside = [&before, &behind].map(|patch| correlation(other, patch));
+                beside.into_iter().flatten().all(|beside| beside < found - CLEARER)
+            };
+            correlation(other, &here).is_some_and(|found| found > AGREES && less(found))
+        };
+        pictures.others(sample.view).filter(agrees).count()
+    }
+
+    /// Tilted by small angles about the point beneath `middle`, which moves down by a share of its distance.
+    fn moved(&self, middle: DVec3, [a, b, lower]: [f64; 3]) -> Self {
+        let (first, second) = self.normal.any_orthonormal_pair();
+        let normal = (self.normal + first * a + second * b).normalize();
+        let distance = middle.dot(self.normal) - self.offset;
+        let foot = middle - self.normal * (distance * (1.0 + lower));
+        Self { normal, offset: foot.dot(normal) }
+    }
+
+    fn is_allowed(&self, up: DVec3, grey: &[Grey]) -> bool {
+        self.normal.angle_between(up) < STEEPEST
+            && grey.iter().all(|view| view.camera.center().dot(self.normal) > self.offset)
+    }
+}
+
+/// Level planes beneath the lowest camera; `None` of cameras that are all at one place.
+fn level_planes(grey: &[Grey]) -> Option<impl Iterator<Item = Ground>> {
+    let cameras: Vec<Camera> = grey.iter().map(|view| view.camera).collect();
+    let normal = up(&cameras);
+    let lowest = cameras.iter().map(|c| c.center().dot(normal)).min_by(f64::total_cmp)?;
+    let farthest = |a: &Camera| cameras.iter().map(|b| a.center().distance(b.center())).fold(0.0, f64::max);
+    let extent = cameras.iter().map(farthest).fold(0.0, f64::max);
+    let count = ((BENEATH[1] / BENEATH[0]).ln() / DEEPER.ln()) as i32;
+    let plane = move |i| Ground { normal, offset: lowest - BENEATH[0] * extent * DEEPER.powi(i) };
+    (extent > 0.0).then(|| (0..count).map(plane))
+}
+
+/// Windows on a grid of all views.
+fn samples(pictures: &Pictures, count: usize) -> Vec<Sample> {
+    let stride = pictures.stride(count);
+    let of_view = |view: usize| {
+        let [columns, rows] = grid(pictures.grey[view].camera.size(), stride);
+        let sample = move |place: usize| {
+            let pixel = pixel(place, columns, stride);
+            let window = pictures.grey[view].own_window(pixel)?;
+            (!pictures.is_foreground(view, pixel)).then_some(Sample { view, pixel, window })
+        };
+        (0..columns * rows).filter_map(sample)
+    };
+    (0..pictures.grey.len()).into_par_iter().flat_map_iter(of_view).collect()
+}
+
+/// The best plane about one, found in steps that become smaller, with its support.
+fn refine(mut best: (usize, Ground), grey: &[Grey], support: Support) -> (usize, Ground) {
+    let up = best.1.normal;
+    let middle = grey.iter().map(|view| view.camera.center()).sum::<DVec3>() / grey.len() as f64;
+    for step in STEPS {
+        for _ in 0..REPEATS {
+            let (count, plane) = best;
+            let beside = (0..3).flat_map(|axis| [step, -step].map(|by| DVec3::AXES[axis] * by));
+            let planes =
+                beside.map(|by| plane.moved(middle, by.to_array())).filter(|p| p.is_allowed(up, grey));
+            let found = planes.map(|plane| (support(&plane), plane)).max_by_key(|(count, _)| *count);
+            match found {
+                Some(better) if better.0 > count => best = better,
+                _ => break,
+            }
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::painted::{FLOOR, SIZE, noise, on_wall, painted, view};
+
+    /// 0.02 rad = 0.12 m at the wall.
+    #[test]
+    fn a_painted_floor_is_the_ground_and_its_points_lie_on_it() {
+        let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
+        let pictures = Pictures::new(&views);
+        let ground = Ground::find(&pictures).unwrap();
+        assert!(ground.normal.angle_between(DVec3::NEG_Y) < 0.02, "{ground:?}");
+        assert!((ground.offset + FLOOR).abs() < 0.04 * FLOOR, "{ground:?}");
+        let points = ground.points(&pictures);
+        assert!(points.len() > SIZE.pixels() / 10, "{} points", points.len());
+        assert!(points.iter().all(|p| (p.position.y - FLOOR).abs() < 0.15 * FLOOR));
+    }
+
+    #[test]
+    fn a_wall_alone_noise_and_too_few_views_have_no_ground() {
+        let wall = |p: DVec3, i| if on_wall(p) { painted(p, i) } else { 0.5 };
+        let wall: Vec<_> = (0..5).map(|i| view(i, wall)).collect();
+        let noise: Vec<_> = (0..5).map(|i| view(i, |_, pixel| noise(i, pixel))).collect();
+        for views in [&wall[..], &noise, &wall[..1], &[]] {
+            let found = Ground::find(&Pictures::new(views));
+            assert!(found.is_none(), "{found:?} in {} views", views.len());
+        }
+    }
+
+    #[test]
+    fn pixels_see_it_below_the_horizon_and_nothing_beneath_it() {
+        let ground = Ground::new(DVec3::NEG_Y, -FLOOR);
+        let views = [view(0, painted), view(4, painted)];
+        let depth = |y: f64| ground.depth(&views[0].camera, DVec2::new(10.0, y));
+        // 12 pixels below the middle at a focal length of 60: 1 m in 5.
+        assert!((depth(36.0).unwrap() - 5.0).abs() < 1e-9);
+        assert_eq!([depth(24.0), depth(10.0)], [None, None]);
+        let hidden = [0.9, 1.05, 1.3].map(|y| ground.hides(&views, DVec3::new(0.0, y * FLOOR, 5.0)));
+        assert_eq!(hidden, [false, false, true]);
+        assert!(!ground.hides(&views, DVec3::new(0.0, -3.0, 20.0)), "above the horizon");
+    }
+}
