@@ -54,7 +54,7 @@ pub(crate) fn consistent<'a>(
     views: &'a [View],
     fixed: &[StereoPoint],
     mut found: Vec<StereoPoint>,
-    ground: Option<Ground>,
+    ground: Option<&Ground>,
 ) -> (Vec<StereoPoint>, FreeSpace<'a>) {
     let mut points = [fixed, &found].concat();
     let mut space = FreeSpace::new(views, &points, ground);
@@ -71,7 +71,7 @@ pub(crate) fn consistent<'a>(
 }
 
 impl<'a> FreeSpace<'a> {
-    fn new(views: &'a [View], matched: &[StereoPoint], ground: Option<Ground>) -> Self {
+    fn new(views: &'a [View], matched: &[StereoPoint], ground: Option<&Ground>) -> Self {
         let pixels: usize = views.iter().map(|view| view.camera.size().pixels()).sum();
         let depths = |view: &'a View| {
             let own = view.camera.size().pixels();
@@ -107,7 +107,7 @@ impl<'a> FreeSpace<'a> {
 }
 
 impl<'a> Depths<'a> {
-    fn new(view: &'a View, matched: &[StereoPoint], ground: Option<Ground>, stride: f64) -> Self {
+    fn new(view: &'a View, matched: &[StereoPoint], ground: Option<&Ground>, stride: f64) -> Self {
         let [columns, rows] = grid(view.camera.size(), stride);
         let still = Surfaces::still(view, matched, ground);
         let moving = Surfaces::moving(view, matched);

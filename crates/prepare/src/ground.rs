@@ -4,10 +4,11 @@
 //! views on one plane, and thousands of windows together tell where that plane is (docs/adr/0067-the-ground-is-a-plane.md).
 
 use crate::stereo::StereoPoint;
-use crate::views::View;
+use crate::views::{View, at_depth};
 use crate::windows::{Grey, Patch, Pictures, Window, grid, pixel, up};
 use ffgs_core::Camera;
 use glam::{DVec2, DVec3};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
 /// Windows that are compared to find the plane, over all views, and to find points on it.
@@ -33,12 +34,21 @@ const STEEPEST: f64 = 0.12;
 /// Least share of the windows that agree on the ground, and how many times as many as on the planes tried, in the median.
 const LEAST_SHARE: f64 = 0.03;
 const DISTINCT: f64 = 3.0;
+/// It reaches as far from its points as this share of the distance from the camera.
+const REACH: f64 = 0.25;
 /// What is farther than the ground by this factor in all views lies beneath it.
 const FARTHER: f64 = 1.1;
 
+/// The ground, as far as points were found on it.
+pub(crate) struct Ground {
+    plane: Plane,
+    points: Vec<StereoPoint>,
+    tree: ImmutableKdTree<f64, 3>,
+}
+
 /// A plane.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ground {
+struct Plane {
     /// Of length 1, upwards.
     normal: DVec3,
     /// `normal . x` of its points (m).
@@ -53,11 +63,47 @@ struct Sample {
 }
 
 /// How many windows agree on a plane.
-type Support<'a> = &'a dyn Fn(&Ground) -> usize;
+type Support<'a> = &'a dyn Fn(&Plane) -> usize;
 
 impl Ground {
     /// `None` where no plane stands out.
     pub(crate) fn find(pictures: &Pictures) -> Option<Self> {
+        let plane = Plane::find(pictures)?;
+        Self::new(plane, plane.points(pictures))
+    }
+
+    fn new(plane: Plane, points: Vec<StereoPoint>) -> Option<Self> {
+        let places: Vec<[f64; 3]> = points.iter().map(|p| p.position.to_array()).collect();
+        let tree = ImmutableKdTree::new_from_slice(&places).ok().filter(|_| !places.is_empty())?;
+        Some(Self { plane, points, tree })
+    }
+
+    /// The points that views agree on.
+    pub(crate) fn points(&self) -> &[StereoPoint] {
+        &self.points
+    }
+
+    /// Depth (m) at which a pixel shows it; `None` at and above the horizon, and far from its points.
+    pub(crate) fn depth(&self, camera: &Camera, pixel: DVec2) -> Option<f64> {
+        let depth = self.plane.depth(camera, pixel)?;
+        let place = at_depth(camera, pixel, depth).to_array();
+        let reach = REACH * depth;
+        let found = self.tree.query(&place).nearest_one::<SquaredEuclidean<f64>>().execute();
+        (found.distance < reach * reach).then_some(depth)
+    }
+
+    /// Whether a point lies beneath it for all views that show the point.
+    pub(crate) fn hides(&self, views: &[View], point: DVec3) -> bool {
+        let mut seen = views.iter().filter_map(|View { camera, .. }| {
+            Some((camera, camera.project(point).filter(|p| camera.shows(p.pixel))?))
+        });
+        seen.all(|(camera, p)| self.depth(camera, p.pixel).is_some_and(|depth| p.depth > FARTHER * depth))
+    }
+}
+
+impl Plane {
+    /// `None` where none stands out.
+    fn find(pictures: &Pictures) -> Option<Self> {
         let samples = samples(pictures, SAMPLES);
         let support =
             |plane: &Self| samples.par_iter().map(|s| plane.witnesses(pictures, s, STRETCH)).sum::<usize>();
@@ -71,34 +117,21 @@ impl Ground {
         (count as f64 > least).then_some(plane)
     }
 
-    #[cfg(test)]
-    pub(crate) fn new(normal: DVec3, offset: f64) -> Self {
-        Self { normal, offset }
-    }
-
     /// Depth (m) at which a pixel shows it; `None` at and above the horizon.
-    pub(crate) fn depth(&self, camera: &Camera, pixel: DVec2) -> Option<f64> {
+    fn depth(&self, camera: &Camera, pixel: DVec2) -> Option<f64> {
         let ray = camera.ray(pixel);
         let along = (self.offset - camera.center().dot(self.normal)) / ray.dot(self.normal);
         (along > 0.0 && along.is_finite()).then(|| along * ray.dot(camera.rotation().row(2)))
     }
 
     /// Its points at pixels outside of the masks at which the views agree.
-    pub(crate) fn points(&self, pictures: &Pictures) -> Vec<StereoPoint> {
+    fn points(&self, pictures: &Pictures) -> Vec<StereoPoint> {
         let point = |sample: Sample| {
             let depth = self.depth(&pictures.grey[sample.view].camera, sample.pixel)?;
             (self.witnesses(pictures, &sample, f64::INFINITY) > 0)
                 .then(|| pictures.point(sample.view, sample.pixel, depth))
         };
         samples(pictures, PIXELS).into_par_iter().filter_map(point).collect()
-    }
-
-    /// Whether a point lies beneath it for all views that show the point.
-    pub(crate) fn hides(&self, views: &[View], point: DVec3) -> bool {
-        let mut seen = views.iter().filter_map(|View { camera, .. }| {
-            Some((camera, camera.project(point).filter(|p| camera.shows(p.pixel))?))
-        });
-        seen.all(|(camera, p)| self.depth(camera, p.pixel).is_some_and(|depth| p.depth > FARTHER * depth))
     }
 
     /// Neighbours of the sample's view that show what its window shows on the plane, and less of it a little before and behind. Views in which the
@@ -141,14 +174,14 @@ impl Ground {
 }
 
 /// Level planes beneath the lowest camera; `None` of cameras that are all at one place.
-fn level_planes(grey: &[Grey]) -> Option<impl Iterator<Item = Ground>> {
+fn level_planes(grey: &[Grey]) -> Option<impl Iterator<Item = Plane>> {
     let cameras: Vec<Camera> = grey.iter().map(|view| view.camera).collect();
     let normal = up(&cameras);
     let lowest = cameras.iter().map(|c| c.center().dot(normal)).min_by(f64::total_cmp)?;
     let farthest = |a: &Camera| cameras.iter().map(|b| a.center().distance(b.center())).fold(0.0, f64::max);
     let extent = cameras.iter().map(farthest).fold(0.0, f64::max);
     let count = ((BENEATH[1] / BENEATH[0]).ln() / DEEPER.ln()) as i32;
-    let plane = move |i| Ground { normal, offset: lowest - BENEATH[0] * extent * DEEPER.powi(i) };
+    let plane = move |i| Plane { normal, offset: lowest - BENEATH[0] * extent * DEEPER.powi(i) };
     (extent > 0.0).then(|| (0..count).map(plane))
 }
 
@@ -168,7 +201,7 @@ fn samples(pictures: &Pictures, count: usize) -> Vec<Sample> {
 }
 
 /// The best plane about one, found in steps that become smaller, with its support.
-fn refine(mut best: (usize, Ground), grey: &[Grey], support: Support) -> (usize, Ground) {
+fn refine(mut best: (usize, Plane), grey: &[Grey], support: Support) -> (usize, Plane) {
     let up = best.1.normal;
     let middle = grey.iter().map(|view| view.camera.center()).sum::<DVec3>() / grey.len() as f64;
     for step in STEPS {
@@ -187,6 +220,13 @@ fn refine(mut best: (usize, Ground), grey: &[Grey], support: Support) -> (usize,
     best
 }
 
+/// A level ground so far beneath the origin (y points down), with points at some places.
+#[cfg(test)]
+pub(crate) fn level(beneath: f64, places: &[DVec3]) -> Ground {
+    let points = places.iter().map(|&position| StereoPoint { position, colour: [0.5; 3] }).collect();
+    Ground::new(Plane { normal: DVec3::NEG_Y, offset: -beneath }, points).expect("places")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,9 +238,10 @@ mod tests {
         let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
         let pictures = Pictures::new(&views);
         let ground = Ground::find(&pictures).unwrap();
-        assert!(ground.normal.angle_between(DVec3::NEG_Y) < 0.02, "{ground:?}");
-        assert!((ground.offset + FLOOR).abs() < 0.04 * FLOOR, "{ground:?}");
-        let points = ground.points(&pictures);
+        let Plane { normal, offset } = ground.plane;
+        assert!(normal.angle_between(DVec3::NEG_Y) < 0.02, "{normal}");
+        assert!((offset + FLOOR).abs() < 0.04 * FLOOR, "{offset}");
+        let points = ground.points();
         assert!(points.len() > SIZE.pixels() / 10, "{} points", points.len());
         assert!(points.iter().all(|p| (p.position.y - FLOOR).abs() < 0.15 * FLOOR));
     }
@@ -211,20 +252,25 @@ mod tests {
         let wall: Vec<_> = (0..5).map(|i| view(i, wall)).collect();
         let noise: Vec<_> = (0..5).map(|i| view(i, |_, pixel| noise(i, pixel))).collect();
         for views in [&wall[..], &noise, &wall[..1], &[]] {
-            let found = Ground::find(&Pictures::new(views));
+            let found = Plane::find(&Pictures::new(views));
             assert!(found.is_none(), "{found:?} in {} views", views.len());
         }
     }
 
     #[test]
     fn pixels_see_it_below_the_horizon_and_nothing_beneath_it() {
-        let ground = Ground::new(DVec3::NEG_Y, -FLOOR);
+        let ground = level(FLOOR, &[DVec3::new(0.0, FLOOR, 5.0)]);
         let views = [view(0, painted), view(4, painted)];
-        let depth = |y: f64| ground.depth(&views[0].camera, DVec2::new(10.0, y));
+        let depth = |x: f64, y: f64| ground.depth(&views[0].camera, DVec2::new(x, y));
         // 12 pixels below the middle at a focal length of 60: 1 m in 5.
-        assert!((depth(36.0).unwrap() - 5.0).abs() < 1e-9);
-        assert_eq!([depth(24.0), depth(10.0)], [None, None]);
-        let hidden = [0.9, 1.05, 1.3].map(|y| ground.hides(&views, DVec3::new(0.0, y * FLOOR, 5.0)));
+        assert!((depth(36.0, 36.0).unwrap() - 5.0).abs() < 1e-9);
+        assert_eq!([depth(36.0, 24.0), depth(36.0, 10.0)], [None, None]);
+        assert_eq!(
+            [depth(36.0, 48.0), depth(1.0, 36.0)],
+            [None, None],
+            "2.5 m before and 2.5 m beside the only point"
+        );
+        let hidden = [0.9, 1.05, 1.3].map(|y| ground.hides(&views, DVec3::new(0.0, y * FLOOR, 6.0)));
         assert_eq!(hidden, [false, false, true]);
         assert!(!ground.hides(&views, DVec3::new(0.0, -3.0, 20.0)), "above the horizon");
     }

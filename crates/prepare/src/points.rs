@@ -39,7 +39,8 @@ pub(crate) fn make(
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points);
     progress.advance("points", 5, PARTS);
-    let still = matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground));
+    let still =
+        matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground.as_ref()));
     let text = format!(
         "{}, {} in the visual hull, {} spread in depth",
         matched.account,
@@ -63,15 +64,15 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     let swept = sweeps.points();
     progress.advance("points", 2, PARTS);
     let ground = Ground::find(&pictures);
-    let on_ground = ground.map_or_else(Vec::new, |ground| ground.points(&pictures));
+    let on_ground = ground.as_ref().map_or(&[][..], Ground::points);
     progress.advance("points", 3, PARTS);
     let counts = [features.len(), swept.len(), on_ground.len()];
     let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
     let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
     found.extend(&swept);
-    found.retain(|p| ground.is_none_or(|ground| !ground.hides(views, p.position)));
+    found.retain(|p| ground.as_ref().is_none_or(|ground| !ground.hides(views, p.position)));
     found.extend(on_ground);
-    let (points, space) = free_space::consistent(views, known, found, ground);
+    let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
     progress.advance("points", 4, PARTS);
     let account = account(known.len(), counts, points.len());
     Matched { points, space, ground, account }

@@ -18,7 +18,7 @@ const MOVING: usize = 4_000;
 pub(crate) fn background(
     views: &[View],
     matched: &[StereoPoint],
-    ground: Option<Ground>,
+    ground: Option<&Ground>,
 ) -> Vec<StereoPoint> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let region = common_region(&cameras);

@@ -41,16 +41,16 @@ struct Known {
 }
 
 /// The matched points of a view, inside or outside of its mask.
-pub(crate) struct Surfaces {
+pub(crate) struct Surfaces<'a> {
     known: Vec<Known>,
     tree: ImmutableKdTree<f64, 2>,
     /// The camera, and what it does not see through.
-    floor: Option<(Camera, Ground)>,
+    floor: Option<(Camera, &'a Ground)>,
 }
 
-impl Surfaces {
+impl<'a> Surfaces<'a> {
     /// Of all that is outside the mask, none of it beneath the ground; `None` with too few points.
-    pub(crate) fn still(view: &View, matched: &[StereoPoint], ground: Option<Ground>) -> Option<Self> {
+    pub(crate) fn still(view: &View, matched: &[StereoPoint], ground: Option<&'a Ground>) -> Option<Self> {
         let surfaces = Self::new(known(view, matched, false), LEAST_STILL)?;
         Some(Self { floor: ground.map(|ground| (view.camera, ground)), ..surfaces })
     }
@@ -118,7 +118,10 @@ impl Surfaces {
 
     /// Inverse depth (1/m) of the ground at a pixel; 0 above the horizon.
     fn of_floor(&self, pixel: DVec2) -> f64 {
-        self.floor.and_then(|(camera, ground)| ground.depth(&camera, pixel)).map_or(0.0, |depth| 1.0 / depth)
+        self.floor
+            .as_ref()
+            .and_then(|(camera, ground)| ground.depth(camera, pixel))
+            .map_or(0.0, |depth| 1.0 / depth)
     }
 }
 
@@ -143,11 +146,12 @@ fn alike(a: [f32; 3], b: [f32; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ground::level;
     use crate::painted::{painted, view};
 
     const GREY: [f32; 3] = [0.4; 3];
 
-    fn surfaces(points: impl Iterator<Item = (DVec2, f64, [f32; 3])>) -> Surfaces {
+    fn surfaces<'a>(points: impl Iterator<Item = (DVec2, f64, [f32; 3])>) -> Surfaces<'a> {
         let known = points.map(|(pixel, inverse, colour)| Known { pixel, inverse, colour }).collect();
         Surfaces::new(known, 1).unwrap()
     }
@@ -185,9 +189,9 @@ mod tests {
     #[test]
     fn nothing_is_seen_through_the_ground() {
         let camera = view(0, painted).camera;
-        let ground = Ground::new(DVec3::NEG_Y, -1.0);
+        let ground = level(1.0, &[DVec3::new(0.15 * 3.75, 1.0, 3.75)]);
         let mirrored = surfaces(rim().map(|p| (p, 0.02, GREY)));
-        let surfaces = Surfaces { floor: Some((camera, ground)), ..mirrored };
+        let surfaces = Surfaces { floor: Some((camera, &ground)), ..mirrored };
         let [below, above] = [40.0, 20.0].map(|y| surfaces.inverse_depth(DVec2::new(45.0, y), GREY));
         // 16 pixels below the horizon at a focal length of 60.
         assert!((below - 16.0 / 60.0).abs() < 1e-9, "{below}");
