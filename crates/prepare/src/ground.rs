@@ -16,7 +16,7 @@ const SAMPLES: usize = 8_000;
 const PIXELS: usize = 30_000;
 /// Least correlation with a neighbour of a window that agrees.
 const AGREES: f32 = 0.7;
-/// By this more than on planes that are farther and nearer by a factor: what hardly moves between two views agrees everywhere.
+/// It must be larger by this than on planes that are farther and nearer by a factor: what hardly moves between two views agrees on all of them.
 const CLEARER: f32 = 0.05;
 const BESIDE: f64 = 1.1;
 /// Largest ratio of the areas in which two views show a pixel, where the plane is sought: what is stretched is smooth, and resembles anything smooth.
@@ -31,7 +31,7 @@ const STEPS: [f64; 4] = [0.04, 0.02, 0.01, 0.005];
 const REPEATS: usize = 8;
 /// Largest tilt of the ground (radians).
 const STEEPEST: f64 = 0.12;
-/// Least share of the windows that agree on the ground, and how many times as many as on the planes tried, in the median.
+/// Least number of neighbours, per window, that agree on the ground, and how many times as many as on the median plane that was tried.
 const LEAST_SHARE: f64 = 0.03;
 const DISTINCT: f64 = 3.0;
 /// It reaches as far from its points as this share of the distance from the camera.
@@ -62,7 +62,7 @@ struct Sample {
     window: Window,
 }
 
-/// How many windows agree on a plane.
+/// How many pairs of a window and a neighbour agree on a plane.
 type Support<'a> = &'a dyn Fn(&Plane) -> usize;
 
 impl Ground {

@@ -66,7 +66,8 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     let ground = Ground::find(&pictures);
     let on_ground = ground.as_ref().map_or(&[][..], Ground::points);
     progress.advance("points", 3, PARTS);
-    let counts = [features.len(), swept.len(), on_ground.len()];
+    let (of_features, of_sweeps, of_ground) =
+        (features.len(), swept.len(), ground.as_ref().map(|_| on_ground.len()));
     let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
     let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
     found.extend(&swept);
@@ -74,21 +75,23 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     found.extend(on_ground);
     let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
     progress.advance("points", 4, PARTS);
-    let account = account(known.len(), counts, points.len());
+    let account = account(known.len(), of_features, of_sweeps, of_ground, points.len());
     Matched { points, space, ground, account }
 }
 
-/// In words: how many points there are of the calibration, of features, sweeps and the ground, and how many of all these are left.
-fn account(known: usize, [features, swept, on_ground]: [usize; 3], left: usize) -> String {
+/// In words: how many points there are of the calibration, of features, of sweeps and of the ground, where one was found, and how many of these are `left`.
+fn account(known: usize, features: usize, swept: usize, ground: Option<usize>, left: usize) -> String {
     let first = if known > 0 {
         format!("{known} of the calibration")
     } else {
         format!("{features} matched between cameras")
     };
-    let left_out = known + features + swept + on_ground - left;
-    format!(
-        "{first}, {swept} by plane sweeps and {on_ground} on the ground ({left_out} of them in mid-air or beneath it left out)"
-    )
+    let (of_ground, where_wrong) = match ground {
+        Some(count) => (format!("{count} on the ground"), "in mid-air or beneath the ground"),
+        None => ("none on the ground, as no plane stands out".to_owned(), "in mid-air"),
+    };
+    let left_out = known + features + swept + ground.unwrap_or(0) - left;
+    format!("{first}, {swept} by plane sweeps and {of_ground} ({left_out} {where_wrong} left out)")
 }
 
 /// Writes points that need no others.

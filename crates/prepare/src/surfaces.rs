@@ -116,7 +116,7 @@ impl<'a> Surfaces<'a> {
         fitted.max(self.of_floor(pixel))
     }
 
-    /// Inverse depth (1/m) of the ground at a pixel; 0 above the horizon.
+    /// Inverse depth (1/m) of the ground at a pixel; 0 where it does not reach.
     fn of_floor(&self, pixel: DVec2) -> f64 {
         self.floor
             .as_ref()
