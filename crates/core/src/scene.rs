@@ -15,13 +15,45 @@ pub struct Scene {
     pub hidden: Vec<u8>,
     /// Variance of SH coefficient 0 and of each other coefficient of the static Gaussians; empty when unknown.
     pub static_colours: Vec<[f32; 2]>,
+    /// The static Gaussians that what moves covers at this frame, and their opacity logits; in the layer they are transparent.
+    pub covered: Vec<(u32, f32)>,
     /// Moves every frame.
     pub dynamic: Dynamic,
     /// At infinity.
     pub sky: SkyCube,
 }
 
+/// Opacity logit of a Gaussian that is covered: far below the opacity with which a splat is drawn.
+const TRANSPARENT: f32 = -10.0;
+
 impl Scene {
+    /// Two layers of which nothing is known from earlier frames.
+    pub fn new(static_layer: impl Into<Arc<Gaussians>>, dynamic: Dynamic, sky: SkyCube) -> Self {
+        let (static_layer, hidden, static_colours) = (static_layer.into(), Vec::new(), Vec::new());
+        Self { static_layer, hidden, static_colours, covered: Vec::new(), dynamic, sky }
+    }
+
+    /// The static layer without some of its Gaussians, by their indices: they are transparent in it.
+    pub fn in_the_open(&self, covered: &[u32]) -> Arc<Gaussians> {
+        let mut layer = Arc::clone(&self.static_layer);
+        make_transparent(&mut layer, covered);
+        layer
+    }
+
+    /// Makes static Gaussians transparent, by their indices, until [`uncover`](Self::uncover).
+    pub fn cover(&mut self, covered: &[u32]) {
+        self.uncover();
+        self.covered = make_transparent(&mut self.static_layer, covered);
+    }
+
+    /// Gives back the opacities of what is covered.
+    pub fn uncover(&mut self) {
+        if !self.covered.is_empty() {
+            let logits = &mut Arc::make_mut(&mut self.static_layer).opacity_logits;
+            self.covered.drain(..).for_each(|(i, logit)| logits[i as usize] = logit);
+        }
+    }
+
     /// Both layers, the static one first: what is rendered.
     pub fn layers(&self) -> [&Gaussians; 2] {
         [&self.static_layer, &self.dynamic.gaussians]
@@ -34,6 +66,15 @@ impl Scene {
         joint.extend(&self.dynamic.gaussians);
         joint
     }
+}
+
+/// Returns the indices with the opacity logits that were there.
+fn make_transparent(layer: &mut Arc<Gaussians>, covered: &[u32]) -> Vec<(u32, f32)> {
+    if covered.is_empty() {
+        return Vec::new();
+    }
+    let logits = &mut Arc::make_mut(layer).opacity_logits;
+    covered.iter().map(|&i| (i, std::mem::replace(&mut logits[i as usize], TRANSPARENT))).collect()
 }
 
 /// The moving layer, and what is known of its positions. Columns have one entry per Gaussian.
@@ -116,5 +157,28 @@ impl Dynamic {
     /// A column, if it is one of this layer.
     fn known<'a, T>(&self, column: &'a [T]) -> Option<&'a [T]> {
         (!column.is_empty() && column.len() == self.gaussians.len()).then_some(column)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_covered_gets_its_opacity_back() {
+        let mut layer = Gaussians::zeros(4, 0);
+        layer.opacity_logits = vec![0.1, 0.2, 0.3, 0.4];
+        let mut scene = Scene::new(layer, Dynamic::default(), SkyCube::filled(1, [0.0; 3]));
+        let before = Arc::clone(&scene.static_layer);
+        assert!(Arc::ptr_eq(&scene.in_the_open(&[]), &before), "nothing is copied for nothing");
+        assert_eq!(scene.in_the_open(&[1]).opacity_logits, [0.1, TRANSPARENT, 0.3, 0.4]);
+        scene.cover(&[0, 2]);
+        scene.cover(&[2, 3]);
+        assert_eq!(scene.static_layer.opacity_logits, [0.1, 0.2, TRANSPARENT, TRANSPARENT]);
+        scene.uncover();
+        assert_eq!((&scene.static_layer, scene.covered.len()), (&before, 0));
+        let layer = Arc::clone(&scene.static_layer);
+        scene.uncover();
+        assert!(Arc::ptr_eq(&layer, &scene.static_layer), "nothing is covered");
     }
 }

@@ -9,7 +9,6 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_testkit::{conformance, look_at};
 use ffgs_trainer::SkyView;
 use glam::{DVec3, Vec3};
-use std::sync::Arc;
 
 const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
 const VIEWS: usize = 6;
@@ -82,13 +81,7 @@ impl World {
         let mut dynamic = Dynamic { gaussians: self.body.clone(), ..Dynamic::default() };
         dynamic.number_new();
         dynamic.covariances.resize(BODY, glam::DMat3::IDENTITY);
-        Scene {
-            static_layer: Arc::new(self.backdrop.clone()),
-            hidden: Vec::new(),
-            static_colours: Vec::new(),
-            dynamic,
-            sky: self.sky.clone(),
-        }
+        Scene::new(self.backdrop.clone(), dynamic, self.sky.clone())
     }
 
     fn view(&self, view: usize, frame: usize) -> TrainingView {

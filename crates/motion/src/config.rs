@@ -72,6 +72,9 @@ pub struct MarkingConfig {
     pub second_chance: bool,
     /// Whether both layers are marked again at t-1 in every frame.
     pub every_frame: bool,
+    /// Alpha of the moving layer from which it covers what is behind it; static Gaussians that are covered in all views are left out of the frame. 0 =
+    /// none is.
+    pub covering_alpha: f32,
     /// Share of an object of the dynamic layer that one frame's masks lack, beyond which the run warns and waits for the next.
     pub loss_warning: f64,
 }
@@ -85,6 +88,7 @@ impl Default for MarkingConfig {
             all_views: false,
             second_chance: true,
             every_frame: false,
+            covering_alpha: 0.5,
             loss_warning: 0.2,
         }
     }
@@ -93,8 +97,15 @@ impl Default for MarkingConfig {
 impl MarkingConfig {
     /// Our most literal reading of Algorithm 1, lines 2 and 35 to 40.
     pub fn literal() -> Self {
-        let (second_chance, every_frame) = (false, true);
-        Self { dilation: 0, slack: 2, slack_share: 0.0, second_chance, every_frame, ..Self::default() }
+        Self {
+            dilation: 0,
+            slack: 2,
+            slack_share: 0.0,
+            second_chance: false,
+            every_frame: true,
+            covering_alpha: 0.0,
+            ..Self::default()
+        }
     }
 
     /// Whether both mark the same Gaussians in the first frame.

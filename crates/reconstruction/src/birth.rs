@@ -144,57 +144,7 @@ fn explaining(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, PlanarImage, SkyCube};
-    use ffgs_testkit::look_at;
-    use std::sync::Arc;
-
-    const SIZE: ImageSize = ImageSize { width: 96, height: 72 };
-
-    /// Discs on a ball of 0.6 m around a place, coloured by waves over it.
-    fn ball(centre: Vec3) -> Gaussians {
-        let places: Vec<Vec3> = (0..1500)
-            .map(|i| {
-                let z = 1.0 - (2.0 * i as f32 + 1.0) / 1500.0;
-                let (sin, cos) = (2.399_963 * i as f32).sin_cos();
-                let ring = (1.0 - z * z).sqrt();
-                Vec3::new(ring * cos, ring * sin, z) * 0.6
-            })
-            .collect();
-        let colours: Vec<[f32; 3]> =
-            places.iter().map(|p| (*p * 7.0).to_array().map(|v| 0.5 + 0.4 * v.sin())).collect();
-        let positions: Vec<[f32; 3]> = places.iter().map(|p| (*p + centre).to_array()).collect();
-        from_points(&positions, &colours, 1, 0.95)
-    }
-
-    /// Six cameras over half a circle, and what they see of `moving`.
-    fn photographs(moving: &Gaussians) -> Vec<TrainingView> {
-        let view = |i: usize| {
-            let (sin, cos) = (i as f64 * 0.5).sin_cos();
-            let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
-            let intrinsics = Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
-            let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
-            let shown = View { camera: &camera, background: Background::Colour([0.3; 3]), tiles: None };
-            let mut tape = RenderTape::default();
-            CpuRasterizer::default().render(moving, &shown, &mut tape);
-            let image: &PlanarImage = tape.image();
-            let mask = tape.transmittance().iter().map(|&t| u8::from(t < 0.5)).collect();
-            TrainingView { camera, image: ImageRgb8::from(image), mask: Mask::new(SIZE, mask).unwrap() }
-        };
-        (0..6).map(view).collect()
-    }
-
-    fn scene(moving: &Gaussians) -> Scene {
-        let mut scene = Scene {
-            static_layer: Arc::new(Gaussians::zeros(0, 1)),
-            hidden: Vec::new(),
-            static_colours: Vec::new(),
-            dynamic: ffgs_core::Dynamic::default(),
-            sky: SkyCube::filled(8, [0.3; 3]),
-        };
-        scene.dynamic.gaussians = Gaussians::zeros(0, 1);
-        join(&mut scene.dynamic, moving, &photographs(moving));
-        scene
-    }
+    use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
 
     fn born(scene: &mut Scene, views: &[TrainingView]) -> usize {
         add_newborn(Devices(&[]), &ReconstructionConfig::default(), scene, views, 1, &mut |_| {}).unwrap()
@@ -238,8 +188,7 @@ mod tests {
         assert_eq!(born(&mut scene, &views), 0);
         views[2].mask = Mask::filled(SIZE, true);
         assert_eq!(born(&mut scene, &views), 0, "a mask that flickers");
-        let empty: Vec<TrainingView> =
-            views.iter().map(|v| TrainingView { mask: Mask::filled(SIZE, false), ..v.clone() }).collect();
+        let empty = without_masks(views);
         assert_eq!(born(&mut scene, &empty), 0, "no foreground");
     }
 }

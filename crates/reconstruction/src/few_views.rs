@@ -67,13 +67,8 @@ fn middle(views: &[TrainingView]) -> usize {
 fn mean_psnr(trained: &FirstFrame, views: &[TrainingView], devices: Devices) -> Result<f64> {
     let cameras: Vec<_> = views.iter().map(|view| view.camera).collect();
     let nothing = trained.gaussians.select(&[]);
-    let scene = Scene {
-        hidden: Vec::new(),
-        static_colours: Vec::new(),
-        static_layer: trained.gaussians.clone().into(),
-        dynamic: Dynamic { gaussians: nothing, ..Dynamic::default() },
-        sky: trained.sky.clone(),
-    };
+    let dynamic = Dynamic { gaussians: nothing, ..Dynamic::default() };
+    let scene = Scene::new(trained.gaussians.clone(), dynamic, trained.sky.clone());
     let rendered = devices.render(&scene, &cameras)?;
     let each = rendered.iter().zip(views).map(|(image, view)| psnr(image, &view.image));
     Ok(each.sum::<Result<f64, _>>()? / views.len() as f64)

@@ -3,7 +3,7 @@
 //! ```text
 //! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
 //! frame t   state of t-1, photographs of t
-//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn
+//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered
 //!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
 //! ```
 
@@ -69,6 +69,7 @@ impl Reconstructor<'_> {
         let step = self.step(frame, &before, &now);
         let prediction = self.method.predict(&step, &mut state.scene, log);
         prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
+        state.scene.uncover();
         if let Some(moving) = moving {
             self.keep_stopped(&moving, &mut state, &now, log)?;
         }
@@ -81,8 +82,11 @@ impl Reconstructor<'_> {
         match finetuning.with_context(|| self.named(&format!("finetuning of frame {frame}")))? {
             Finetuning::ByLanes => {
                 let prior = known.as_ref().map(Predicted::prior);
-                let start = FrameStart { frame, dynamic_lane: self.config.dynamic, prior, views: &now };
+                let (views, dynamic_lane) = (&now[..], self.config.dynamic);
+                let covered = &self.find_covered(&state.scene, views, log)?;
+                let start = FrameStart { frame, dynamic_lane, prior, views, covered };
                 self.train_lanes(&start, &mut state, log)?;
+                state.scene.cover(covered);
                 self.train_disoccluded(frame, &mut state, &now, log)?;
                 self.learn(&mut state.scene, known.as_ref(), &now, log);
             }
@@ -104,7 +108,8 @@ impl Reconstructor<'_> {
         let known = Predicted::new(&state.scene, &dynamic_lane);
         let prior = known.as_ref().map(Predicted::prior);
         let views = std::mem::take(&mut state.views);
-        self.train_lanes(&FrameStart { frame, dynamic_lane, prior, views: &views }, state, log)?;
+        let start = FrameStart { frame, dynamic_lane, prior, views: &views, covered: &[] };
+        self.train_lanes(&start, state, log)?;
         self.learn(&mut state.scene, known.as_ref(), &views, log);
         state.views = views;
         Ok(())

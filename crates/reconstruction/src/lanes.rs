@@ -6,7 +6,6 @@ use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
 use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, StaticColours, StaticTargets, Surroundings};
 use std::borrow::Cow;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// What the lanes of a frame start from, beside the scene.
@@ -19,6 +18,9 @@ pub(crate) struct FrameStart<'a> {
     pub prior: Option<Prior<'a>>,
     /// Photographs of the frame.
     pub views: &'a [TrainingView],
+    /// Static Gaussians that what moves covers: the dynamic and the sky lane are trained without them. The static lane keeps them, as its linear system has to
+    /// stay the same from frame to frame.
+    pub covered: &'a [u32],
 }
 
 impl Reconstructor<'_> {
@@ -30,9 +32,9 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<()> {
         let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
-        let FrameStart { ref dynamic_lane, prior, views, .. } = *start;
+        let FrameStart { ref dynamic_lane, prior, views, covered, .. } = *start;
         let State { scene, static_lane, .. } = state;
-        let (static_start, sky_start) = (Arc::clone(&scene.static_layer), scene.sky.clone());
+        let (static_start, sky_start) = (scene.in_the_open(covered), scene.sky.clone());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let [moving, standing] =

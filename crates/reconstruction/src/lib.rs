@@ -5,6 +5,7 @@
 
 mod birth;
 mod config;
+mod covered;
 mod devices;
 mod disocclusion;
 mod exposures;
@@ -19,6 +20,8 @@ mod monitor;
 mod reconstructor;
 mod sky;
 mod stops;
+#[cfg(test)]
+mod test_scene;
 
 pub use config::ReconstructionConfig;
 pub use devices::Devices;

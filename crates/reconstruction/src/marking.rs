@@ -20,6 +20,7 @@ impl Reconstructor<'_> {
     pub(crate) fn mark_again(&self, state: &mut State, log: &mut StageLog) -> Result<()> {
         let start = Instant::now();
         let State { scene, views, static_lane, .. } = state;
+        scene.uncover();
         let [started, stopped] = mark_again(&self.config.marking, &self.config.background, scene, views)?;
         if started + stopped > 0 {
             static_lane.forget();
@@ -55,8 +56,7 @@ pub(crate) fn split(
     let growth_limit = gaussians.len();
     let mut dynamic = Dynamic { gaussians, covariances, growth_limit, ..Dynamic::default() };
     dynamic.number_new();
-    let static_layer = Arc::new(all.select(&indices(false)));
-    Ok(Scene { static_layer, hidden: Vec::new(), static_colours: Vec::new(), dynamic, sky })
+    Ok(Scene::new(all.select(&indices(false)), dynamic, sky))
 }
 
 /// The layers of t-1 with their border drawn anew by `views`, of t-1: static Gaussians inside the masks move from now on, moving ones outside stand still.

@@ -125,50 +125,8 @@ fn add_errors(errors: &mut [f64; 2], renders: [&PlanarImage; 2], photograph: &Im
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Camera, ImageSize, Intrinsics, Mask, SkyCube};
-    use ffgs_testkit::look_at;
-    use ffgs_trainer::from_points;
-    use glam::{DVec3, Vec3};
-
-    /// A patterned ball of 0.6 m around a place.
-    fn ball(centre: Vec3) -> Gaussians {
-        let place = |i: usize| {
-            let z = 1.0 - (2.0 * i as f32 + 1.0) / 900.0;
-            let (sin, cos) = (2.399_963 * i as f32).sin_cos();
-            Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z) * 0.6
-        };
-        let places: Vec<Vec3> = (0..900).map(place).collect();
-        let colours: Vec<[f32; 3]> =
-            places.iter().map(|p| (*p * 7.0).to_array().map(|v| 0.5 + 0.4 * v.sin())).collect();
-        let positions: Vec<[f32; 3]> = places.iter().map(|p| (*p + centre).to_array()).collect();
-        from_points(&positions, &colours, 1, 0.95)
-    }
-
-    fn scene(moving: &Gaussians) -> Scene {
-        let mut dynamic = Dynamic { gaussians: moving.clone(), ..Dynamic::default() };
-        dynamic.number_new();
-        Scene {
-            static_layer: Arc::new(Gaussians::zeros(0, 1)),
-            hidden: Vec::new(),
-            static_colours: Vec::new(),
-            dynamic,
-            sky: SkyCube::filled(8, [0.3; 3]),
-        }
-    }
-
-    /// Six cameras over half a circle photograph a scene in which nothing counts as foreground.
-    fn photographs(of: &Scene) -> Vec<TrainingView> {
-        let size = ImageSize { width: 96, height: 72 };
-        let view = |i: usize| {
-            let (sin, cos) = (i as f64 * 0.5).sin_cos();
-            let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
-            let camera =
-                Camera::new(Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 }, pose, size).unwrap();
-            let image = ImageRgb8::from(&Devices(&[]).render(of, &[camera]).unwrap()[0]);
-            TrainingView { camera, image, mask: Mask::filled(size, false) }
-        };
-        (0..6).map(view).collect()
-    }
+    use crate::test_scene::{ball, photographs, scene, without_masks};
+    use glam::Vec3;
 
     #[test]
     fn what_stops_joins_the_static_layer_and_what_left_does_not() {
@@ -177,7 +135,7 @@ mod tests {
         both.extend(&leaves);
         let mut now = scene(&both);
         let before = Moving::of(&now.dynamic);
-        let views = photographs(&scene(&stops));
+        let views = without_masks(photographs(&stops));
         let found = |now: &mut Scene| {
             let gone = before.gone(&now.dynamic, &GroupsConfig::default());
             stand_still(Devices(&[]), &BackgroundConfig::default(), &gone, now, &views).unwrap()

@@ -11,8 +11,9 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-/// 2 added the last steps, 3 ids and information, 4 the flexibility, 5 what was hidden and known of the static layer; older ones are still read.
-const VERSION: u32 = 5;
+/// 2 added the last steps, 3 ids and information, 4 the flexibility, 5 what was hidden and known of the static layer, 6 what is covered; older ones are
+/// still read.
+const VERSION: u32 = 6;
 const HEAD: usize = 20;
 const CHECKSUM: usize = 4;
 
@@ -51,6 +52,8 @@ pub struct FrameState<'a> {
     pub static_hidden: Vec<u8>,
     /// Variance of SH coefficient 0 and of each other coefficient of the static layer; empty when unknown.
     pub static_colours: Vec<[f32; 2]>,
+    /// Indices of the Gaussians of the static layer that are covered in this frame and transparent, and their opacity logits when nothing covers them.
+    pub static_covered: Vec<(u32, f32)>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -143,6 +146,9 @@ fn encode(state: &FrameState) -> Vec<u8> {
     out.extend(&state.static_hidden);
     put_u64(&mut out, state.static_colours.len() as u64);
     put_f32s(&mut out, state.static_colours.as_flattened());
+    put_u64(&mut out, state.static_covered.len() as u64);
+    state.static_covered.iter().for_each(|(index, _)| out.extend(index.to_le_bytes()));
+    state.static_covered.iter().for_each(|(_, logit)| out.extend(logit.to_le_bytes()));
     out
 }
 
@@ -180,6 +186,8 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
     let static_hidden = cursor.bytes(hidden)?.to_vec();
     let colours = if version >= 5 { cursor.length()? } else { 0 };
     let static_colours = cursor.f32_rows::<2>(colours)?;
+    let covered = if version >= 6 { cursor.length()? } else { 0 };
+    let static_covered = cursor.u32s(covered)?.into_iter().zip(cursor.f32s(covered)?).collect();
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -199,6 +207,7 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
         dynamic_flexibility,
         static_hidden,
         static_colours,
+        static_covered,
         reals,
         integers,
     };
@@ -227,7 +236,10 @@ fn check_lengths(state: &FrameState) -> Result<(), Problem> {
             return Err(Problem::Corrupt(format!("{found} {what} of {n} Gaussians")));
         }
     }
-    Ok(())
+    match state.static_covered.iter().find(|(index, _)| *index as usize >= fixed) {
+        Some((index, _)) => Err(Problem::Corrupt(format!("Gaussian {index} of {fixed} is covered"))),
+        None => Ok(()),
+    }
 }
 
 /// Ids and the next free one; versions before 3 had none, and their Gaussians are numbered.

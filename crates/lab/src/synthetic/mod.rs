@@ -24,7 +24,6 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use scene::{World, sh0};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Colour of the sky (0..1).
 const SKY: [f32; 3] = [0.55, 0.7, 0.9];
@@ -220,13 +219,7 @@ fn write_first_frame(capture: &Path, run: &RunFolder, world: &World) -> Result<(
         ..Dynamic::default()
     };
     dynamic.number_new();
-    let scene = Scene {
-        static_layer: Arc::new(world.static_layer.clone()),
-        hidden: Vec::new(),
-        static_colours: Vec::new(),
-        dynamic,
-        sky: World::sky(),
-    };
+    let scene = Scene::new(world.static_layer.clone(), dynamic, World::sky());
     state::save(&run.state(0), 0, &scene)?;
     let opened = open_capture(capture)?;
     opened.camera(ViewAt { split: Split::Train, view: 0, frame: 0 })?;

@@ -5,7 +5,6 @@ use ffgs_core::{Camera, Gaussians, Scene};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
 /// Distance from the circled object, in median distances of its Gaussians from its middle, for a wide lens: near enough that little
 /// stands between.
@@ -57,13 +56,7 @@ pub fn clear_of(scene: &Scene, cameras: &[Camera]) -> Scene {
     };
     let kept: Vec<usize> = (0..layer.len()).filter(|&i| is_clear(i)).collect();
     // What is known of the others is of no use to a picture.
-    Scene {
-        static_layer: Arc::new(layer.select(&kept)),
-        hidden: Vec::new(),
-        static_colours: Vec::new(),
-        dynamic: scene.dynamic.clone(),
-        sky: scene.sky.clone(),
-    }
+    Scene::new(layer.select(&kept), scene.dynamic.clone(), scene.sky.clone())
 }
 
 /// Median; 0 of nothing.
@@ -150,13 +143,7 @@ mod tests {
         let mut layer = Gaussians::zeros(3, 0);
         layer.means = vec![[0.0; 3], before_a_lens.to_array(), [0.5, 0.0, 0.0]];
         layer.log_scales = vec![[-5.0; 3], [-5.0; 3], [1.0; 3]];
-        let scene = Scene {
-            static_layer: Arc::new(layer),
-            hidden: Vec::new(),
-            static_colours: Vec::new(),
-            dynamic: ffgs_core::Dynamic::default(),
-            sky: ffgs_core::SkyCube::filled(4, [0.5; 3]),
-        };
+        let scene = Scene::new(layer, ffgs_core::Dynamic::default(), ffgs_core::SkyCube::filled(4, [0.5; 3]));
         // The last one is as large as the circle.
         assert_eq!(clear_of(&scene, &cameras).static_layer.means, [[0.0; 3]]);
     }

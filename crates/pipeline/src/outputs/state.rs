@@ -39,6 +39,7 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_flexibility: scene.dynamic.flexibility.clone(),
         static_hidden: scene.hidden.clone(),
         static_colours: scene.static_colours.clone(),
+        static_covered: scene.covered.clone(),
         integers: integers(scene),
         ..FrameState::default()
     };
@@ -108,6 +109,7 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         static_layer,
         hidden: state.static_hidden,
         static_colours: state.static_colours,
+        covered: state.static_covered,
         dynamic,
         sky,
     })
@@ -141,6 +143,9 @@ fn fault(state: &FrameState) -> Option<String> {
     }
     if !state.static_colours.as_flattened().iter().all(|v| v.is_finite() && *v > 0.0) {
         return Some("a variance of the static layer's colours is not a positive number".into());
+    }
+    if !state.static_covered.iter().all(|(_, logit)| logit.is_finite()) {
+        return not_a_number("an opacity of what is covered");
     }
     if state.dynamic_covariances.iter().any(DMat3::is_nan) {
         return not_a_number("a covariance");
@@ -189,7 +194,7 @@ mod tests {
         let path = folder.path().join("state.ffgs");
         save_checkpoint(&path, &sound()).unwrap();
         assert_eq!(load(&path, 1).unwrap().dynamic.gaussians.len(), 1);
-        let faults: [(Change, &str); 10] = [
+        let faults: [(Change, &str); 11] = [
             (|s| s.frame = 2, "after frame 2"),
             (|s| s.dynamic_covariances.clear(), "0 covariances of 1"),
             (|s| s.dynamic_ids.clear(), "0 ids of 1"),
@@ -199,6 +204,7 @@ mod tests {
             (|s| s.dynamic_covariances[0].x_axis.y = f64::NAN, "a covariance is not a number"),
             (|s| s.sky[3] = f32::NAN, "a texel of the sky"),
             (|s| s.static_colours = vec![[1.0, 0.0]; 2], "a variance of the static layer's colours"),
+            (|s| s.static_covered = vec![(1, f32::NAN)], "an opacity of what is covered is not a number"),
             (|s| (s.sky_face_size, s.sky) = (0, Vec::new()), "no sky"),
         ];
         for (change, words) in faults {

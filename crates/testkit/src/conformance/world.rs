@@ -55,13 +55,7 @@ impl World {
         let ids = order.iter().map(|&k| k as u32).collect();
         let (next_id, growth_limit) = (self.places.len() as u32, order.len());
         let dynamic = Dynamic { gaussians, covariances, ids, next_id, growth_limit, ..Dynamic::default() };
-        Scene {
-            static_layer: Gaussians::zeros(0, 0).into(),
-            hidden: Vec::new(),
-            static_colours: Vec::new(),
-            dynamic,
-            sky: SkyCube::filled(4, [0.5; 3]),
-        }
+        Scene::new(Gaussians::zeros(0, 0), dynamic, SkyCube::filled(4, [0.5; 3]))
     }
 
     /// Training views of a frame.
