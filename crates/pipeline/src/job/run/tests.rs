@@ -76,7 +76,7 @@ fn a_run_opens_each_image_and_mask_once() {
     assert_eq!(opened.len(), 2 * (2 * (3 + tests) + starts));
 }
 
-/// Everything but the static lane borrows the static layer: when that lane takes no step, a frame ends with the very one it began with.
+/// Everything but the static lane borrows the static layer: when that lane takes no step and nothing is covered, a frame ends with the very one it began with.
 #[test]
 fn a_frame_copies_the_static_layer_only_to_change_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -84,6 +84,7 @@ fn a_frame_copies_the_static_layer_only_to_change_it() {
         let mut request = request(&folder.path().join(steps.to_string()), &[], 2, false);
         request.device = Device::Cpu;
         request.config.background.static_iterations = steps;
+        request.config.marking.covering_alpha = 0.0;
         let job = Job::open(&request).unwrap();
         let console = Console::new(true, job.frames.clone());
         let mut reconstructor = job.reconstructor(&console).unwrap();
