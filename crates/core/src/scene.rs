@@ -15,8 +15,8 @@ pub struct Scene {
     pub hidden: Vec<u8>,
     /// Variance of SH coefficient 0 and of each other coefficient of the static Gaussians; empty when unknown.
     pub static_colours: Vec<[f32; 2]>,
-    /// The static Gaussians that what moves covers at this frame, and their opacity logits; in the layer they are transparent.
-    pub covered: Vec<(u32, f32)>,
+    /// The static Gaussians that this frame shows otherwise than the next one is to find them.
+    pub aside: Aside,
     /// Moves every frame.
     pub dynamic: Dynamic,
     /// At infinity.
@@ -26,31 +26,58 @@ pub struct Scene {
 /// Opacity logit of a Gaussian that is covered: far below the opacity with which a splat is drawn.
 const TRANSPARENT: f32 = -10.0;
 
+/// Gaussians of a layer, put aside while others stand in their places.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Aside {
+    /// Their places in the layer.
+    pub indices: Vec<u32>,
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+}
+
 impl Scene {
     /// Two layers of which nothing is known from earlier frames.
     pub fn new(static_layer: impl Into<Arc<Gaussians>>, dynamic: Dynamic, sky: SkyCube) -> Self {
         let (static_layer, hidden, static_colours) = (static_layer.into(), Vec::new(), Vec::new());
-        Self { static_layer, hidden, static_colours, covered: Vec::new(), dynamic, sky }
+        Self { static_layer, hidden, static_colours, aside: Aside::default(), dynamic, sky }
     }
 
-    /// The static layer without some of its Gaussians, by their indices: they are transparent in it.
-    pub fn in_the_open(&self, covered: &[u32]) -> Arc<Gaussians> {
+    /// The static layer with some of its Gaussians transparent, by their indices.
+    pub fn without(&self, covered: &[u32]) -> Arc<Gaussians> {
         let mut layer = Arc::clone(&self.static_layer);
-        make_transparent(&mut layer, covered);
+        if !covered.is_empty() {
+            let logits = &mut Arc::make_mut(&mut layer).opacity_logits;
+            covered.iter().for_each(|&i| logits[i as usize] = TRANSPARENT);
+        }
         layer
     }
 
-    /// Makes static Gaussians transparent, by their indices, until [`uncover`](Self::uncover).
-    pub fn cover(&mut self, covered: &[u32]) {
-        self.uncover();
-        self.covered = make_transparent(&mut self.static_layer, covered);
+    /// Puts static Gaussians aside as they are in `layer`, until [`take_back`](Self::take_back): what stands in their places in the static layer is
+    /// for this frame.
+    pub fn put_aside(&mut self, indices: Vec<u32>, layer: &Gaussians) {
+        let places: Vec<usize> = indices.iter().map(|&i| i as usize).collect();
+        self.aside = Aside { indices, gaussians: layer.select(&places) };
     }
 
-    /// Gives back the opacities of what is covered.
-    pub fn uncover(&mut self) {
-        if !self.covered.is_empty() {
-            let logits = &mut Arc::make_mut(&mut self.static_layer).opacity_logits;
-            self.covered.drain(..).for_each(|(i, logit)| logits[i as usize] = logit);
+    /// Static Gaussians, by their ascending indices, stay as they are now: nothing is aside in their places any more.
+    pub fn keep(&mut self, indices: &[usize]) {
+        let Aside { indices: places, gaussians } = &self.aside;
+        let others = (0..places.len()).filter(|&at| indices.binary_search(&(places[at] as usize)).is_err());
+        let others: Vec<usize> = others.collect();
+        if others.len() < places.len() {
+            self.aside = Aside {
+                indices: others.iter().map(|&at| places[at]).collect(),
+                gaussians: gaussians.select(&others),
+            };
+        }
+    }
+
+    /// Puts back what is aside.
+    pub fn take_back(&mut self) {
+        let Aside { indices, gaussians } = std::mem::take(&mut self.aside);
+        if !indices.is_empty() {
+            let layer = Arc::make_mut(&mut self.static_layer);
+            (0..).zip(indices).for_each(|(from, to)| layer.set_from(to as usize, &gaussians, from));
         }
     }
 
@@ -66,15 +93,6 @@ impl Scene {
         joint.extend(&self.dynamic.gaussians);
         joint
     }
-}
-
-/// Returns the indices with the opacity logits that were there.
-fn make_transparent(layer: &mut Arc<Gaussians>, covered: &[u32]) -> Vec<(u32, f32)> {
-    if covered.is_empty() {
-        return Vec::new();
-    }
-    let logits = &mut Arc::make_mut(layer).opacity_logits;
-    covered.iter().map(|&i| (i, std::mem::replace(&mut logits[i as usize], TRANSPARENT))).collect()
 }
 
 /// The moving layer, and what is known of its positions. Columns have one entry per Gaussian.
@@ -164,21 +182,27 @@ impl Dynamic {
 mod tests {
     use super::*;
 
+    fn logits(scene: &Scene) -> &[f32] {
+        &scene.static_layer.opacity_logits
+    }
+
     #[test]
-    fn what_is_covered_gets_its_opacity_back() {
+    fn what_is_aside_comes_back() {
         let mut layer = Gaussians::zeros(4, 0);
         layer.opacity_logits = vec![0.1, 0.2, 0.3, 0.4];
         let mut scene = Scene::new(layer, Dynamic::default(), SkyCube::filled(1, [0.0; 3]));
         let before = Arc::clone(&scene.static_layer);
-        assert!(Arc::ptr_eq(&scene.in_the_open(&[]), &before), "nothing is copied for nothing");
-        assert_eq!(scene.in_the_open(&[1]).opacity_logits, [0.1, TRANSPARENT, 0.3, 0.4]);
-        scene.cover(&[0, 2]);
-        scene.cover(&[2, 3]);
-        assert_eq!(scene.static_layer.opacity_logits, [0.1, 0.2, TRANSPARENT, TRANSPARENT]);
-        scene.uncover();
-        assert_eq!((&scene.static_layer, scene.covered.len()), (&before, 0));
+        assert!(Arc::ptr_eq(&scene.without(&[]), &before), "nothing is copied for nothing");
+        assert_eq!(scene.without(&[1]).opacity_logits, [0.1, TRANSPARENT, 0.3, 0.4]);
+        scene.static_layer = scene.without(&[0, 2, 3]);
+        scene.put_aside(vec![0, 2, 3], &before);
+        scene.keep(&[1, 3]);
+        assert_eq!(logits(&scene), [TRANSPARENT, 0.2, TRANSPARENT, TRANSPARENT]);
+        scene.take_back();
+        assert_eq!(logits(&scene), [0.1, 0.2, 0.3, TRANSPARENT], "the last one was kept");
+        assert_eq!(scene.aside, Aside::default());
         let layer = Arc::clone(&scene.static_layer);
-        scene.uncover();
-        assert!(Arc::ptr_eq(&layer, &scene.static_layer), "nothing is covered");
+        scene.take_back();
+        assert!(Arc::ptr_eq(&layer, &scene.static_layer), "nothing is aside");
     }
 }

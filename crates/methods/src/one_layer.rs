@@ -7,7 +7,7 @@ use std::sync::Arc;
 /// Moves the static layer behind the Gaussians of the dynamic one, where its Gaussians get ids. What is known of the
 /// dynamic layer's positions is dropped: these methods estimate no covariance, and none is written (zero).
 pub(crate) fn join(scene: &mut Scene) {
-    scene.uncover();
+    scene.take_back();
     let Scene { static_layer, hidden, static_colours, dynamic, .. } = scene;
     if !static_layer.is_empty() {
         hidden.clear();
@@ -45,7 +45,7 @@ mod tests {
         let dynamic = Dynamic { gaussians: Gaussians::zeros(2, 1), ..Dynamic::default() };
         let mut scene = Scene::new(Gaussians::zeros(3, 1), dynamic, SkyCube::filled(1, [0.0; 3]));
         (scene.hidden, scene.static_colours) = (vec![1; 3], vec![[1.0; 2]; 3]);
-        scene.cover(&[1]);
+        scene.put_aside(vec![1], &Gaussians::zeros(3, 1));
         scene.dynamic.number_new();
         join(&mut scene);
         assert_eq!((scene.static_layer.len(), &scene.dynamic.ids[..]), (0, &[0, 1, 2, 3, 4][..]));

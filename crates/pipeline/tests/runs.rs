@@ -123,6 +123,8 @@ fn a_resumed_run_has_the_bytes_of_one_that_never_stopped() {
     run(&request(&whole, 3, false)).unwrap();
     run(&request(&cut, 2, false)).unwrap();
     run(&request(&cut, 3, true)).unwrap();
+    let aside = state::load(&RunFolder(cut.clone()).state(1), 1).unwrap().aside;
+    assert!(!aside.indices.is_empty(), "nothing is shown for one frame alone");
     for frame in 0..3 {
         for file in ["state.ffgs", "static.ply", "dynamic.ply", "pictures.json"] {
             let bytes = |out: &Path| fs::read(RunFolder(out.to_owned()).frame(frame).join(file)).unwrap();

@@ -92,6 +92,7 @@ impl Reconstructor<'_> {
         let (config, seed) = (&self.config.disocclusion, self.seed(frame));
         if self.devices.disoccluded(config, what, &mut scene.static_layer, seed, report)? {
             static_lane.forget();
+            scene.keep(&gaussians);
         }
         for &i in &gaussians {
             scene.hidden[i] -= u8::from(open(i) * OPEN_ONE_IN >= counts[i].seen);

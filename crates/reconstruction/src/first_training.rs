@@ -75,7 +75,7 @@ impl Reconstructor<'_> {
         photographs: &mut FirstViews,
     ) -> Result<(Scene, Exposures)> {
         let Earlier { mut scene, exposures, split_again, .. } = earlier;
-        scene.uncover();
+        scene.take_back();
         exposures.remove(self.capture, &photographs.shots, &mut photographs.views)?;
         if split_again {
             scene = self.split(&scene.joint(), scene.sky, photographs)?;

@@ -69,7 +69,7 @@ impl Reconstructor<'_> {
         let step = self.step(frame, &before, &now);
         let prediction = self.method.predict(&step, &mut state.scene, log);
         prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
-        state.scene.uncover();
+        state.scene.take_back();
         if let Some(moving) = moving {
             self.keep_stopped(&moving, &mut state, &now, log)?;
         }
@@ -86,7 +86,6 @@ impl Reconstructor<'_> {
                 let covered = &self.find_covered(&state.scene, views, log)?;
                 let start = FrameStart { frame, dynamic_lane, prior, views, covered };
                 self.train_lanes(&start, &mut state, log)?;
-                state.scene.cover(covered);
                 self.train_disoccluded(frame, &mut state, &now, log)?;
                 self.learn(&mut state.scene, known.as_ref(), &now, log);
             }

@@ -6,6 +6,7 @@ use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
 use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, StaticColours, StaticTargets, Surroundings};
 use std::borrow::Cow;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What the lanes of a frame start from, beside the scene.
@@ -18,8 +19,8 @@ pub(crate) struct FrameStart<'a> {
     pub prior: Option<Prior<'a>>,
     /// Photographs of the frame.
     pub views: &'a [TrainingView],
-    /// Static Gaussians that what moves covers: the dynamic and the sky lane are trained without them. The static lane keeps them, as its linear system has to
-    /// stay the same from frame to frame.
+    /// Static Gaussians that what moves covers, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
+    /// lane keeps them, as its linear system has to stay the same from frame to frame.
     pub covered: &'a [u32],
 }
 
@@ -34,7 +35,8 @@ impl Reconstructor<'_> {
         let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
         let FrameStart { ref dynamic_lane, prior, views, covered, .. } = *start;
         let State { scene, static_lane, .. } = state;
-        let (static_start, sky_start) = (scene.in_the_open(covered), scene.sky.clone());
+        let (static_start, sky_start) = (scene.without(covered), scene.sky.clone());
+        let (before, mut passing) = (Arc::clone(&scene.static_layer), Vec::new());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let [moving, standing] =
@@ -54,7 +56,8 @@ impl Reconstructor<'_> {
         };
         let train_static = || {
             let targets = StaticTargets { views: &standing.views, sky: &sky_start };
-            let colours = StaticColours { layer: static_layer, variances: static_colours };
+            let passing = &mut passing;
+            let colours = StaticColours { layer: static_layer, variances: static_colours, passing };
             devices.static_layer(static_lane, background, targets, colours, seed, &mut |p| show_static(p))
         };
         let train_sky = || devices.sky(background, &standing.views, &static_start, sky, seed);
@@ -63,6 +66,8 @@ impl Reconstructor<'_> {
         log.add_seconds(stage::DYNAMIC, dynamic_s?);
         log.add_seconds(stage::STATIC, static_s?);
         log.add_seconds(stage::SKY, sky_s?);
+        scene.static_layer = scene.without(covered);
+        scene.put_aside(union(&passing, covered), &before);
         Ok(())
     }
 
@@ -91,6 +96,14 @@ impl Reconstructor<'_> {
 struct Reduced<'v> {
     factor: usize,
     views: Cow<'v, [TrainingView]>,
+}
+
+/// Ascending, of ascending numbers.
+fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let mut all = [a, b].concat();
+    all.sort_unstable();
+    all.dedup();
+    all
 }
 
 /// Seconds that it takes.

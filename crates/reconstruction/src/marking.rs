@@ -20,7 +20,7 @@ impl Reconstructor<'_> {
     pub(crate) fn mark_again(&self, state: &mut State, log: &mut StageLog) -> Result<()> {
         let start = Instant::now();
         let State { scene, views, static_lane, .. } = state;
-        scene.uncover();
+        scene.take_back();
         let [started, stopped] = mark_again(&self.config.marking, &self.config.background, scene, views)?;
         if started + stopped > 0 {
             static_lane.forget();

@@ -11,7 +11,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"FFGSCKPT";
-/// 2 added the last steps, 3 ids and information, 4 the flexibility, 5 what was hidden and known of the static layer, 6 what is covered; older ones are
+/// 2 added the last steps, 3 ids and information, 4 the flexibility, 5 what was hidden and known of the static layer, 6 what is put aside; older ones are
 /// still read.
 const VERSION: u32 = 6;
 const HEAD: usize = 20;
@@ -52,8 +52,10 @@ pub struct FrameState<'a> {
     pub static_hidden: Vec<u8>,
     /// Variance of SH coefficient 0 and of each other coefficient of the static layer; empty when unknown.
     pub static_colours: Vec<[f32; 2]>,
-    /// Indices of the Gaussians of the static layer that are covered in this frame and transparent, and their opacity logits when nothing covers them.
-    pub static_covered: Vec<(u32, f32)>,
+    /// Indices of the Gaussians of the static layer that are put aside in this frame, while others stand in their places.
+    pub aside: Vec<u32>,
+    /// The Gaussians that are put aside.
+    pub aside_layer: Cow<'a, Gaussians>,
     /// Further real state by name.
     pub reals: BTreeMap<String, f64>,
     /// Further integer state by name (iteration counts, random-number positions).
@@ -146,9 +148,9 @@ fn encode(state: &FrameState) -> Vec<u8> {
     out.extend(&state.static_hidden);
     put_u64(&mut out, state.static_colours.len() as u64);
     put_f32s(&mut out, state.static_colours.as_flattened());
-    put_u64(&mut out, state.static_covered.len() as u64);
-    state.static_covered.iter().for_each(|(index, _)| out.extend(index.to_le_bytes()));
-    state.static_covered.iter().for_each(|(_, logit)| out.extend(logit.to_le_bytes()));
+    put_u64(&mut out, state.aside.len() as u64);
+    state.aside.iter().for_each(|index| out.extend(index.to_le_bytes()));
+    put_layer(&mut out, &state.aside_layer);
     out
 }
 
@@ -186,8 +188,9 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
     let static_hidden = cursor.bytes(hidden)?.to_vec();
     let colours = if version >= 5 { cursor.length()? } else { 0 };
     let static_colours = cursor.f32_rows::<2>(colours)?;
-    let covered = if version >= 6 { cursor.length()? } else { 0 };
-    let static_covered = cursor.u32s(covered)?.into_iter().zip(cursor.f32s(covered)?).collect();
+    let places = if version >= 6 { cursor.length()? } else { 0 };
+    let aside = cursor.u32s(places)?;
+    let aside_layer = Cow::Owned(if version >= 6 { layer(&mut cursor)? } else { Gaussians::default() });
     if !cursor.0.is_empty() {
         return Err(Problem::Corrupt(format!("{} bytes too many", cursor.0.len())));
     }
@@ -207,7 +210,8 @@ fn decode(version: u32, payload: &[u8]) -> Result<FrameState<'static>, Problem> 
         dynamic_flexibility,
         static_hidden,
         static_colours,
-        static_covered,
+        aside,
+        aside_layer,
         reals,
         integers,
     };
@@ -236,8 +240,12 @@ fn check_lengths(state: &FrameState) -> Result<(), Problem> {
             return Err(Problem::Corrupt(format!("{found} {what} of {n} Gaussians")));
         }
     }
-    match state.static_covered.iter().find(|(index, _)| *index as usize >= fixed) {
-        Some((index, _)) => Err(Problem::Corrupt(format!("Gaussian {index} of {fixed} is covered"))),
+    let (places, aside) = (state.aside.len(), state.aside_layer.len());
+    if places != aside {
+        return Err(Problem::Corrupt(format!("{aside} Gaussians of {places} places are put aside")));
+    }
+    match state.aside.iter().find(|index| **index as usize >= fixed) {
+        Some(index) => Err(Problem::Corrupt(format!("Gaussian {index} of {fixed} is put aside"))),
         None => Ok(()),
     }
 }

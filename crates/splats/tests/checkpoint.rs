@@ -28,7 +28,8 @@ fn state() -> FrameState<'static> {
         dynamic_flexibility: vec![-0.0, 3.5],
         static_hidden: vec![0, 2, u8::MAX],
         static_colours: vec![[0.1, 1.0 / 3.0]; 3],
-        static_covered: vec![(2, 0.7), (0, -0.0)],
+        aside: vec![0, 2],
+        aside_layer: Cow::Owned(Gaussians::zeros(2, 2)),
         reals: [("scale".to_owned(), f64::MIN_POSITIVE)].into(),
         integers: [("iteration".to_owned(), u64::MAX), ("seed".to_owned(), 3)].into(),
     }
@@ -68,7 +69,7 @@ type Change = fn(&mut FrameState<'static>);
 fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.ckpt");
-    let faults: [(Change, &str); 10] = [
+    let faults: [(Change, &str); 11] = [
         (|s| s.sky_face_size = 3, "faces of 3 px"),
         (|s| s.sky_face_size = 1 << 32, "faces of 4294967296 px"),
         (|s| s.sky_face_size = 1 << 63, "faces of"),
@@ -77,7 +78,8 @@ fn columns_that_do_not_go_together_are_errors_though_the_checksum_is_right() {
         (|s| s.dynamic_ids = vec![1; 3], "3 ids of 2"),
         (|s| s.static_hidden.truncate(1), "1 counts of rounds of 3"),
         (|s| s.static_colours.truncate(2), "2 variances of colours of 3"),
-        (|s| s.static_covered = vec![(0, 1.0), (3, 1.0)], "Gaussian 3 of 3 is covered"),
+        (|s| s.aside = vec![0, 3], "Gaussian 3 of 3 is put aside"),
+        (|s| s.aside.truncate(1), "2 Gaussians of 1 places are put aside"),
         (|s| s.static_information = Cow::Owned(Gaussians::zeros(4, 0)), "4 rows of information of"),
     ];
     for (change, words) in faults {

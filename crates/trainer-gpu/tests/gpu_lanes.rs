@@ -51,7 +51,7 @@ fn static_steps<B: TrainBackend>(
         backend,
         config,
         targets,
-        StaticColours { layer, variances: &mut Vec::new() },
+        StaticColours { layer, variances: &mut Vec::new(), passing: &mut Vec::new() },
         3,
         &mut |_| {},
     )

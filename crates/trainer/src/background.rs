@@ -35,6 +35,9 @@ pub struct BackgroundConfig {
     pub solve_sh0_drift: f32,
     /// Change of the other SH coefficients likewise.
     pub solve_sh_rest_drift: f32,
+    /// A Gaussian with less than this share of what it colours outside the masks keeps its colours of the frame before for the next one; 0 = all keep what
+    /// they get.
+    pub solve_in_view: f32,
     /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then those of a lattice of pixels.
     pub solve_memory_mib: usize,
     /// Steps per frame, one view each; method `steps`.
@@ -62,6 +65,7 @@ impl Default for BackgroundConfig {
             solve_sh_rest_change: 0.05,
             solve_sh0_drift: 0.03,
             solve_sh_rest_drift: 0.005,
+            solve_in_view: 0.9,
             solve_memory_mib: 4096,
             static_iterations: 500,
             sh0_rate: 1e-3,

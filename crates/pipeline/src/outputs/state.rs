@@ -1,7 +1,7 @@
 //! The exact state after a frame, from which a run goes on.
 
 use anyhow::{Result, bail};
-use ffgs_core::{Dynamic, Gaussians, Knowledge, PixelFilter, Scene, SkyCube};
+use ffgs_core::{Aside, Dynamic, Gaussians, Knowledge, PixelFilter, Scene, SkyCube};
 use ffgs_splats::{FrameState, load_checkpoint, save_checkpoint};
 use glam::DMat3;
 use std::borrow::Cow;
@@ -39,7 +39,8 @@ pub fn save(path: &Path, frame: usize, scene: &Scene) -> Result<()> {
         dynamic_flexibility: scene.dynamic.flexibility.clone(),
         static_hidden: scene.hidden.clone(),
         static_colours: scene.static_colours.clone(),
-        static_covered: scene.covered.clone(),
+        aside: scene.aside.indices.clone(),
+        aside_layer: Cow::Borrowed(&scene.aside.gaussians),
         integers: integers(scene),
         ..FrameState::default()
     };
@@ -105,11 +106,12 @@ pub fn load(path: &Path, frame: usize) -> Result<Scene> {
         masks_doubted: state.integers.get(DOUBTED).is_some_and(|v| *v > 0),
     };
     let static_layer = Arc::new(state.static_layer.into_owned().with_filter(filter));
+    let aside = Aside { indices: state.aside, gaussians: state.aside_layer.into_owned().with_filter(filter) };
     Ok(Scene {
         static_layer,
         hidden: state.static_hidden,
         static_colours: state.static_colours,
-        covered: state.static_covered,
+        aside,
         dynamic,
         sky,
     })
@@ -136,16 +138,20 @@ fn fault(state: &FrameState) -> Option<String> {
         return Some(format!("its layers have spherical harmonics of degrees {degrees:?}"));
     }
     let not_a_number = |what: &str| Some(format!("{what} is not a number"));
-    for (name, layer) in [("static", fixed), ("dynamic", moving)] {
+    let aside = &state.aside_layer;
+    if !aside.is_empty() && aside.sh_degree() != fixed.sh_degree() {
+        let degrees = (aside.sh_degree(), fixed.sh_degree());
+        return Some(format!(
+            "what is put aside and the static layer have spherical harmonics of degrees {degrees:?}"
+        ));
+    }
+    for (name, layer) in [("static", fixed), ("dynamic", moving), ("put aside", aside)] {
         if let Some(column) = column_not_finite(layer) {
             return not_a_number(&format!("{column} of the {name} layer"));
         }
     }
     if !state.static_colours.as_flattened().iter().all(|v| v.is_finite() && *v > 0.0) {
         return Some("a variance of the static layer's colours is not a positive number".into());
-    }
-    if !state.static_covered.iter().all(|(_, logit)| logit.is_finite()) {
-        return not_a_number("an opacity of what is covered");
     }
     if state.dynamic_covariances.iter().any(DMat3::is_nan) {
         return not_a_number("a covariance");
@@ -188,13 +194,20 @@ mod tests {
         }
     }
 
+    fn put_aside(state: &mut FrameState<'static>, degree: usize, logit: f32) {
+        state.aside = vec![1];
+        let layer = state.aside_layer.to_mut();
+        *layer = Gaussians::zeros(1, degree);
+        layer.opacity_logits[0] = logit;
+    }
+
     #[test]
     fn a_state_that_no_run_can_go_on_from_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("state.ffgs");
         save_checkpoint(&path, &sound()).unwrap();
         assert_eq!(load(&path, 1).unwrap().dynamic.gaussians.len(), 1);
-        let faults: [(Change, &str); 11] = [
+        let faults: [(Change, &str); 12] = [
             (|s| s.frame = 2, "after frame 2"),
             (|s| s.dynamic_covariances.clear(), "0 covariances of 1"),
             (|s| s.dynamic_ids.clear(), "0 ids of 1"),
@@ -204,7 +217,11 @@ mod tests {
             (|s| s.dynamic_covariances[0].x_axis.y = f64::NAN, "a covariance is not a number"),
             (|s| s.sky[3] = f32::NAN, "a texel of the sky"),
             (|s| s.static_colours = vec![[1.0, 0.0]; 2], "a variance of the static layer's colours"),
-            (|s| s.static_covered = vec![(1, f32::NAN)], "an opacity of what is covered is not a number"),
+            (|s| put_aside(s, 1, f32::NAN), "an opacity of the put aside layer is not a number"),
+            (
+                |s| put_aside(s, 2, 0.0),
+                "put aside and the static layer have spherical harmonics of degrees (2, 1)",
+            ),
             (|s| (s.sky_face_size, s.sky) = (0, Vec::new()), "no sky"),
         ];
         for (change, words) in faults {

@@ -97,6 +97,7 @@ const RANGES: &[(&str, Range)] = &[
     ("background.solve_noise", DECAYING_RATE),
     ("background.solve_sh0_change", POSITIVE),
     ("background.solve_sh_rest_change", POSITIVE),
+    ("background.solve_in_view", SHARE),
     ("background.sh0_rate", RATE),
     ("background.sh_rest_rate", RATE),
     ("background.sky_rate", RATE),

@@ -83,7 +83,11 @@ pub(crate) fn static_lane(c: &mut Criterion) {
                             &CpuBackend,
                             &config,
                             seen,
-                            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+                            StaticColours {
+                                layer: &mut layer,
+                                variances: &mut Vec::new(),
+                                passing: &mut Vec::new(),
+                            },
                             1,
                             &mut |_| {},
                         )

@@ -173,7 +173,7 @@ impl Case {
             &CpuBackend,
             &config,
             seen,
-            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+            StaticColours { layer: &mut layer, variances: &mut Vec::new(), passing: &mut Vec::new() },
             1,
             &mut |_| clock.tick(),
         );

@@ -29,6 +29,8 @@ pub struct StaticColours<'a> {
     pub layer: &'a mut Arc<Gaussians>,
     /// (N) variances of its colours; empty = nothing is known.
     pub variances: &'a mut Vec<ColourVariance>,
+    /// Becomes the ascending indices of those whose new colours are for this frame alone.
+    pub passing: &'a mut Vec<u32>,
 }
 
 /// Contributors kept per pixel where memory allows; more gain nothing (docs/adr/0007).
@@ -91,7 +93,8 @@ impl StaticLane {
         report: &mut dyn FnMut(Progress),
     ) -> Result<(), B::Error> {
         let StaticTargets { views, sky } = targets;
-        let StaticColours { layer, variances } = colours;
+        let StaticColours { layer, variances, passing } = colours;
+        passing.clear();
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
@@ -101,7 +104,8 @@ impl StaticLane {
             // A pixel of the lattice speaks for those that are left out.
             let solve_noise = config.solve_noise / tracing.stride as f32;
             let config = BackgroundConfig { solve_noise, ..*config };
-            solve::solve(&config, &self.traces, views, sky, Arc::make_mut(layer), variances, report);
+            *passing =
+                solve::solve(&config, &self.traces, views, sky, Arc::make_mut(layer), variances, report);
             return Ok(());
         }
         steps::train(backend, config, targets, layer, seed, report)

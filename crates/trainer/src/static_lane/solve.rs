@@ -6,6 +6,9 @@
 //! `|A x - r|^2 / noise^2` over the pixels outside the masks, plus `x^2 / variance` over the coefficients, with what the
 //! frames so far leave open of each Gaussian's colour ([`ColourVariance`]): that keeps colours which few pixels of this
 //! frame see where many pixels of earlier ones put them.
+//!
+//! What the masks hide in part is seen beside a moving thing: in its shadow, at an edge of the mask. What is found for such Gaussians is returned as
+//! passing, for this frame alone (docs/adr/0069).
 
 use super::trace::ViewTrace;
 use crate::background::{BackgroundConfig, SkyBehind, outside};
@@ -23,7 +26,7 @@ pub(super) fn solve(
     layer: &mut Gaussians,
     known: &mut Vec<ColourVariance>,
     report: &mut dyn FnMut(Progress),
-) {
+) -> Vec<u32> {
     let seen = compare(config, traces, views, sky, layer);
     predict(config, layer.len(), known);
     let system = System::new(config, traces, &seen.counted, layer, known);
@@ -42,11 +45,13 @@ pub(super) fn solve(
             report(running.progress(iteration, config.solve_iterations, layer.len()));
         },
     );
-    system.learn(config, &diagonal, known);
+    let partly_hidden = system.partly_hidden(config.solve_in_view);
+    system.learn(config, &diagonal, &partly_hidden, known);
     let (stride, coefficients) = (layer.sh_stride(), system.coefficients);
     for (sh, x) in layer.sh.chunks_exact_mut(stride).zip(change.chunks_exact(coefficients)) {
         sh.iter_mut().zip(x).for_each(|(s, &d)| *s = (Vec3::from(*s) + d).to_array());
     }
+    (0..).zip(partly_hidden).filter(|(_, hidden)| *hidden).map(|(i, _)| i).collect()
 }
 
 /// Variance of SH coefficient 0 of a static Gaussian, and of each of its other coefficients.
@@ -259,12 +264,27 @@ impl<'a> System<'a> {
         out
     }
 
-    /// What this frame's pixels tell of the colours.
-    fn learn(&self, config: &BackgroundConfig, diagonal: &[Vec3], known: &mut [ColourVariance]) {
+    /// (N) whether less than a share of what a Gaussian colours is outside the masks, by squared weights.
+    fn partly_hidden(&self, share: f32) -> Vec<bool> {
+        let [told, all] = [self.squares(|v, pixel| self.counted[v][pixel]), self.squares(|_, _| true)];
+        let sum =
+            |squares: &[f32], i: usize| self.places_of(i).iter().map(|&p| squares[p as usize]).sum::<f32>();
+        (0..self.gaussians).into_par_iter().map(|i| sum(&told, i) < share * sum(&all, i)).collect()
+    }
+
+    /// What this frame's pixels tell of the colours; of those that are hidden in part, nothing that is to last.
+    fn learn(
+        &self,
+        config: &BackgroundConfig,
+        diagonal: &[Vec3],
+        partly_hidden: &[bool],
+        known: &mut [ColourVariance],
+    ) {
         let told = EVIDENCE / config.solve_noise.powi(2);
         let others = (self.coefficients - 1).max(1) as f32;
         let rows = diagonal.chunks_exact(self.coefficients).zip(&self.ridge);
-        for (variance, (row, ridge)) in known.iter_mut().zip(rows) {
+        let in_view = known.iter_mut().zip(rows).zip(partly_hidden).filter(|(_, hidden)| !**hidden);
+        for ((variance, (row, ridge)), _) in in_view {
             let seen = |c: &Vec3, ridge: f32| (c.element_sum() / 3.0 - ridge).max(0.0);
             let rest = row[1..].iter().map(|c| seen(c, ridge[1])).sum::<f32>() / others;
             let information = [seen(&row[0], ridge[0]), rest].map(|i| i * told);
@@ -272,18 +292,22 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Diagonal of the normal equations, the preconditioner.
-    fn diagonal(&self) -> Vec<Vec3> {
-        let k = self.coefficients;
-        let of_view = |(trace, counted): (&ViewTrace, &Vec<bool>)| {
+    /// Over (view, seen): sum of the squared weights over the pixels for which `counts(view, pixel)`.
+    fn squares(&self, counts: impl Fn(usize, usize) -> bool + Sync) -> Vec<f32> {
+        let of_view = |(v, trace): (usize, &ViewTrace)| {
             let mut part = vec![0.0; trace.seen.len()];
-            for pixel in (0..trace.pixels()).filter(|&p| counted[p]) {
+            for pixel in (0..trace.pixels()).filter(|&p| counts(v, p)) {
                 trace.of(pixel).iter().for_each(|&(at, w)| part[at as usize] += w * w);
             }
             part
         };
-        let squares: Vec<f32> =
-            self.traces.par_iter().zip(self.counted).map(of_view).collect::<Vec<_>>().concat();
+        self.traces.par_iter().enumerate().map(of_view).collect::<Vec<_>>().concat()
+    }
+
+    /// Diagonal of the normal equations, the preconditioner.
+    fn diagonal(&self) -> Vec<Vec3> {
+        let k = self.coefficients;
+        let squares = self.squares(|v, pixel| self.counted[v][pixel]);
         let mut out = vec![Vec3::ZERO; self.gaussians * k];
         out.par_chunks_exact_mut(k).enumerate().for_each(|(i, out)| {
             out.iter_mut().enumerate().for_each(|(c, o)| *o = Vec3::splat(self.ridge[i][c.min(1)]));
@@ -428,7 +452,7 @@ mod tests {
             &CpuBackend,
             &config,
             targets,
-            StaticColours { layer: &mut out, variances: &mut known },
+            StaticColours { layer: &mut out, variances: &mut known, passing: &mut Vec::new() },
             1,
             &mut |_| {},
         )
@@ -509,7 +533,7 @@ mod tests {
                     &CpuBackend,
                     &config,
                     targets,
-                    StaticColours { layer: out, variances: &mut known },
+                    StaticColours { layer: out, variances: &mut known, passing: &mut Vec::new() },
                     1,
                     &mut |_| {},
                 )
@@ -524,6 +548,43 @@ mod tests {
         };
         let [unknown, known] = [0, 5].map(change_after);
         assert!(known > 0.0 && known < 0.95 * unknown, "{unknown} without, {known} with five frames before");
+    }
+
+    #[test]
+    fn what_the_masks_hide_in_part_changes_for_this_frame_alone() {
+        let (layer, sky, mut views) = wall();
+        let edge = SIZE.width / 2;
+        let left: Vec<u8> = (0..SIZE.pixels()).map(|p| u8::from(p % SIZE.width < edge)).collect();
+        views.iter_mut().for_each(|view| view.mask = Mask::new(SIZE, left.clone()).unwrap());
+        let frame = |solve_in_view: f32, views: &[TrainingView]| {
+            let config = BackgroundConfig { solve_in_view, ..BackgroundConfig::default() };
+            let (mut out, mut known, mut passing) = (Arc::new(layer.clone()), Vec::new(), vec![7]);
+            let colours = StaticColours { layer: &mut out, variances: &mut known, passing: &mut passing };
+            let targets = StaticTargets { views, sky: &sky };
+            StaticLane::default().train(&CpuBackend, &config, targets, colours, 1, &mut |_| {}).unwrap();
+            (known, passing)
+        };
+        let mut unknown = Vec::new();
+        predict(&BackgroundConfig::default(), layer.len(), &mut unknown);
+        let (known, passing) = frame(0.9, &views);
+        assert!(passing.is_sorted());
+        let mut counts = [0, 0];
+        for (i, place) in layer.positions().into_iter().enumerate() {
+            let column = |view: &TrainingView| view.camera.project(place).unwrap().pixel.x - edge as f64;
+            let nearest = views.iter().map(column).fold(f64::INFINITY, f64::min);
+            let passes = passing.binary_search(&(i as u32)).is_ok();
+            if nearest < -2.0 {
+                assert!(passes && known[i] == unknown[i], "{i} is behind the mask of a view");
+                counts[0] += 1;
+            } else if nearest > 4.0 {
+                assert!(!passes && known[i][0] < unknown[i][0], "{i} is beside all masks");
+                counts[1] += 1;
+            }
+        }
+        assert!(counts.iter().all(|&count| count > 50), "{counts:?}");
+        assert_eq!(frame(0.0, &views).1, [0; 0], "all keep what they get");
+        views.iter_mut().for_each(|view| view.mask = Mask::filled(SIZE, false));
+        assert_eq!(frame(0.9, &views).1, [0; 0], "no mask hides anything");
     }
 
     #[test]

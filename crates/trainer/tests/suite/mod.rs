@@ -127,7 +127,7 @@ impl World {
             backend,
             &config,
             targets,
-            StaticColours { layer: &mut layer, variances: &mut Vec::new() },
+            StaticColours { layer: &mut layer, variances: &mut Vec::new(), passing: &mut Vec::new() },
             SEED,
             &mut |_| {},
         )
