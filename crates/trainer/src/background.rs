@@ -65,7 +65,7 @@ impl Default for BackgroundConfig {
             solve_sh_rest_change: 0.05,
             solve_sh0_drift: 0.03,
             solve_sh_rest_drift: 0.005,
-            solve_in_view: 0.9,
+            solve_in_view: 0.7,
             solve_memory_mib: 4096,
             static_iterations: 500,
             sh0_rate: 1e-3,
