@@ -1,5 +1,6 @@
 //! The static lane: the SH colours of the static layer follow the light; geometry and opacity stay.
 
+mod compare;
 mod solve;
 mod steps;
 mod trace;

@@ -7,14 +7,15 @@
 //! frames so far leave open of each Gaussian's colour ([`ColourVariance`]): that keeps colours which few pixels of this
 //! frame see where many pixels of earlier ones put them.
 //!
-//! What the masks hide in part is seen beside a moving thing: in its shadow, at an edge of the mask. What is found for such Gaussians is returned as
-//! passing, for this frame alone (docs/adr/0069).
+//! What the masks hide in part is seen beside a moving thing: in its shadow, at an edge of the mask. What is found for
+//! such Gaussians is returned as passing, for this frame alone (docs/adr/0069).
 
+use super::compare::compare;
 use super::trace::ViewTrace;
-use crate::background::{BackgroundConfig, SkyBehind, outside};
+use crate::background::BackgroundConfig;
 use crate::view::{Progress, Running};
-use ffgs_core::{Gaussians, PlanarImage, SkyCube, TrainingView, sh_coefficients};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View, sh_basis};
+use ffgs_core::{Gaussians, SkyCube, TrainingView, sh_coefficients};
+use ffgs_rasterizer::sh_basis;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -73,86 +74,6 @@ fn predict(config: &BackgroundConfig, gaussians: usize, known: &mut Vec<ColourVa
     for variance in known {
         *variance = std::array::from_fn(|k| (variance[k] + drift[k]).min(unknown[k]));
     }
-}
-
-/// Photograph minus render of one view.
-struct Residual {
-    /// (pixels) zero at and around the foreground.
-    values: Vec<Vec3>,
-    /// (pixels) the others. An error of exactly zero counts too: the sky at night fits to the bit.
-    counted: Vec<bool>,
-}
-
-impl Residual {
-    /// `A^T` of it as far as one view goes: over (seen).
-    fn sent_back(&self, trace: &ViewTrace) -> Vec<Vec3> {
-        let mut back = vec![Vec3::ZERO; trace.seen.len()];
-        for (pixel, &value) in self.values.iter().enumerate().filter(|(_, value)| **value != Vec3::ZERO) {
-            trace.of(pixel).iter().for_each(|&(at, w)| back[at as usize] += w * value);
-        }
-        back
-    }
-
-    fn squares(&self) -> f64 {
-        self.values.iter().map(|r| f64::from(r.length_squared())).sum()
-    }
-}
-
-/// What the photographs say about the renders.
-struct Compared {
-    /// Over (view, seen): what the residuals send back.
-    back: Vec<Vec3>,
-    /// Sum of the squared residuals.
-    squares: f64,
-    /// (views, pixels) those outside the masks.
-    counted: Vec<Vec<bool>>,
-}
-
-/// Renders all views, a few at a time, and keeps of their residuals what the solve needs.
-fn compare(
-    config: &BackgroundConfig,
-    traces: &[ViewTrace],
-    views: &[TrainingView],
-    sky: &SkyCube,
-    layer: &Gaussians,
-) -> Compared {
-    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
-    let mut out = Compared { back: Vec::new(), squares: 0.0, counted: Vec::with_capacity(views.len()) };
-    out.back.reserve_exact(traces.iter().map(|t| t.seen.len()).sum());
-    let together = rayon::current_num_threads();
-    for (views, traces) in views.chunks(together).zip(traces.chunks(together)) {
-        let render = |(view, trace): (&TrainingView, &ViewTrace)| {
-            let background = behind.render(sky, &view.camera);
-            let counts = outside(view, config.mask_dilation);
-            let on_lattice = trace.on_lattice();
-            let counted = counts.data().iter().enumerate().map(|(p, &counts)| counts != 0 && on_lattice(p));
-            residual(view, layer, background, counted.collect(), &mut tape)
-        };
-        let residuals: Vec<Residual> = views.iter().zip(traces).map(render).collect();
-        let sent =
-            |(residual, trace): (&Residual, &ViewTrace)| (residual.sent_back(trace), residual.squares());
-        let parts: Vec<(Vec<Vec3>, f64)> = residuals.par_iter().zip(traces).map(sent).collect();
-        for ((back, squares), residual) in parts.into_iter().zip(residuals) {
-            out.back.extend(back);
-            out.squares += squares;
-            out.counted.push(residual.counted);
-        }
-    }
-    out
-}
-
-fn residual(
-    view: &TrainingView,
-    layer: &Gaussians,
-    behind: &PlanarImage,
-    counted: Vec<bool>,
-    tape: &mut RenderTape,
-) -> Residual {
-    let frame = View { camera: &view.camera, background: Background::Image(behind), tiles: None };
-    CpuRasterizer::default().render(layer, &frame, tape);
-    let difference = |p: usize| Vec3::from(view.image.pixel(p)) - Vec3::from(tape.image().pixel(p));
-    let value = |(p, &counts): (usize, &bool)| if counts { difference(p) } else { Vec3::ZERO };
-    Residual { values: counted.iter().enumerate().map(value).collect(), counted }
 }
 
 /// The normal equations, never formed: `(A^T A + ridge) x = A^T r`. Vectors are (N, coefficients) of RGB.
@@ -392,10 +313,13 @@ fn clamp_slopes(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::compare::residual;
     use super::*;
+    use crate::background::{SkyBehind, outside};
     use crate::static_lane::Tracing;
     use crate::{CpuBackend, StaticColours, StaticLane, StaticTargets, from_points};
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use ffgs_rasterizer::RenderTape;
     use std::sync::Arc;
 
     fn residual_of(view: &TrainingView, layer: &Gaussians, sky: &SkyCube) -> Vec<Vec3> {
