@@ -8,7 +8,7 @@ use crate::job::memory;
 use crate::job::request::RunRequest;
 use crate::outputs::folder::RunFolder;
 use crate::settings::config::Config;
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result};
 use ffgs_method::{Capture, Part, ViewAt};
 use std::path::Path;
 
@@ -27,10 +27,21 @@ const REST: f64 = 1.25;
 /// The program itself (MiB).
 const PROGRAM: f64 = 50.0;
 
+/// What there is memory for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Room {
+    /// For the run, with the photographs of the next frame.
+    ForReadingAhead,
+    /// For the run without them.
+    ForTheRun,
+}
+
 /// Memory by what it is for (MiB).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Need {
     photographs: f64,
+    /// Photographs of the frame to come, which a run can do without.
+    ahead: f64,
     solve: f64,
     gaussians: f64,
 }
@@ -60,6 +71,7 @@ impl Need {
         Self {
             // The frame and the one before it.
             photographs: mib(PIXEL * (2 * training).max(training + initial)),
+            ahead: mib(PIXEL * training),
             solve: mib(solve),
             gaussians: mib(GAUSSIAN * size.gaussians),
         }
@@ -67,6 +79,16 @@ impl Need {
 
     fn total(&self) -> f64 {
         REST * (self.photographs + self.solve + self.gaussians) + PROGRAM
+    }
+
+    /// What a budget (MiB) is enough for.
+    fn room(&self, budget: f64) -> Option<Room> {
+        let fits = |mib: f64| mib <= budget;
+        if fits(self.total() + REST * self.ahead) {
+            Some(Room::ForReadingAhead)
+        } else {
+            fits(self.total()).then_some(Room::ForTheRun)
+        }
     }
 
     /// What does not fit, and what to change.
@@ -86,7 +108,7 @@ impl Need {
 }
 
 /// Refuses a run that needs more than it may take: `--memory`, else what the machine has free. Where the system does not tell,
-/// nothing is refused.
+/// nothing is refused. Results are the same with and without reading ahead.
 ///
 /// # Errors
 /// When it would not fit: what needs how much, and what to change. When a camera cannot be read.
@@ -95,8 +117,10 @@ pub(crate) fn require(
     capture: &dyn Capture,
     views: &[usize],
     streams: bool,
-) -> Result<()> {
-    let Some(budget) = request.memory.map(|mib| mib as f64).or_else(memory::free_mib) else { return Ok(()) };
+) -> Result<Room> {
+    let Some(budget) = request.memory.map(|mib| mib as f64).or_else(memory::free_mib) else {
+        return Ok(Room::ForReadingAhead);
+    };
     let pixels = |views: &[ViewAt]| -> Result<usize> {
         views.iter().map(|&at| Ok(capture.camera(at)?.size().pixels())).sum()
     };
@@ -112,9 +136,12 @@ pub(crate) fn require(
         started.max(first.for_photographs(views.len(), pixels.iter().sum()).max_gaussians)
     };
     let need = Need::new(&request.config, Size { pixels, gaussians, streams });
-    ensure!(need.total() <= budget, need.told(budget));
+    let room = need.room(budget).with_context(|| need.told(budget))?;
     tracing::debug!("about {:.0} MiB of memory, {budget:.0} MiB may be taken", need.total());
-    Ok(())
+    if room == Room::ForTheRun {
+        tracing::info!("memory is short: no photographs are read while the frame before them is trained");
+    }
+    Ok(room)
 }
 
 /// How many items of so many bytes a file has.
@@ -133,6 +160,16 @@ mod tests {
     fn the_papers_size_needs_what_it_was_computed_to_need() {
         let need = Need::new(&Config::default(), PAPER).total() / 1024.0;
         assert!((7.0..10.0).contains(&need), "{need} GiB");
+    }
+
+    #[test]
+    fn reading_ahead_is_given_up_before_the_run_is() {
+        let need = Need::new(&Config::default(), PAPER);
+        let enough = need.total() + REST * need.ahead;
+        assert!(need.ahead > 400.0, "photographs and masks of 60 views");
+        assert_eq!(need.room(enough), Some(Room::ForReadingAhead));
+        assert_eq!(need.room(enough - 1.0), Some(Room::ForTheRun));
+        assert_eq!(need.room(need.total() - 1.0), None);
     }
 
     #[test]

@@ -7,5 +7,6 @@ pub mod manifest;
 pub(crate) mod memory;
 pub(crate) mod memory_need;
 pub(crate) mod provenance;
+pub(crate) mod read_ahead;
 pub mod request;
 pub mod run;

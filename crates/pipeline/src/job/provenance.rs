@@ -47,21 +47,21 @@ pub(crate) fn checksums(capture: &dyn Capture, views: &[ViewAt]) -> Result<Vec<C
     views.par_iter().map(|&at| checksum_again(capture, at)).collect()
 }
 
-/// Digest of what a frame is made from and measured on. `views` are the training views used, `sums` the checksums of these,
-/// of the test views and of the initialisation views, in this order; the motion into the frame is read here.
-pub(crate) fn frame_digest(
-    capture: &dyn Capture,
-    views: &[usize],
-    frame: usize,
-    mut sums: Vec<Checksum>,
-) -> Result<String> {
-    for file in track_files(capture, views, frame)? {
-        sums.push(checksum(&file)?);
-    }
-    let all: Vec<u8> =
-        sums.iter().flat_map(|(sum, bytes)| format!("{sum:08x} {bytes}\n").into_bytes()).collect();
-    let bytes: u64 = sums.iter().map(|(_, bytes)| bytes).sum();
-    Ok(format!("{:08x}-{bytes}", crc32fast::hash(&all)))
+/// Checksums of the tracker files of the motion into a frame, for the training views `views` (by index).
+///
+/// # Errors
+/// When one of them cannot be read.
+pub(crate) fn track_checksums(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<Checksum>> {
+    track_files(capture, views, frame)?.iter().map(|file| checksum(file)).collect()
+}
+
+/// Digest of what a frame is made from and measured on: checksums of the training views used, of the test views, of the
+/// initialisation views and of the tracks into the frame, in this order.
+pub(crate) fn frame_digest(sums: &[&[Checksum]]) -> String {
+    let sums = || sums.iter().copied().flatten();
+    let all: Vec<u8> = sums().flat_map(|(sum, bytes)| format!("{sum:08x} {bytes}\n").into_bytes()).collect();
+    let bytes: u64 = sums().map(|(_, bytes)| bytes).sum();
+    format!("{:08x}-{bytes}", crc32fast::hash(&all))
 }
 
 /// The tracker files of the motion into a frame.

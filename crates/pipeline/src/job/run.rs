@@ -8,13 +8,12 @@ use crate::job::frame::{first_views_and_checksums, init_views, select_views, tes
 use crate::job::lock::FolderLock;
 use crate::job::manifest::Manifest;
 use crate::job::memory;
-use crate::job::memory_need;
-use crate::job::provenance::{Checksum, checksums, frame_digest};
+use crate::job::memory_need::{self, Room};
+use crate::job::provenance::{Checksum, checksums, frame_digest, track_checksums};
+use crate::job::read_ahead::{Inputs, ReadAhead};
 use crate::job::request::RunRequest;
 use crate::outputs::camera_pictures::write_camera_pictures;
-use crate::outputs::exposure_files::{
-    exposures_fact, load_equal, load_training, read_exposures, write_exposures,
-};
+use crate::outputs::exposure_files::{exposures_fact, load_training, read_exposures, write_exposures};
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
@@ -83,6 +82,8 @@ struct Job<'a> {
     /// Training views used, by index.
     views: Vec<usize>,
     frames: Range<usize>,
+    /// Those of them that are read while the one before is trained.
+    read_ahead: Range<usize>,
     folder: RunFolder,
     manifest: Manifest,
     /// None = the CPU.
@@ -126,7 +127,8 @@ impl<'a> Job<'a> {
             None => MethodChoice::default().build(&context).map(|_| MethodChoice::default())?,
         };
         let by_lanes = method == MethodChoice::default() && frames.len() > 1;
-        memory_need::require(request, &*capture, &views, by_lanes)?;
+        let room = memory_need::require(request, &*capture, &views, by_lanes)?;
+        let read_ahead = if room == Room::ForReadingAhead { frames.clone() } else { 0..0 };
         let manifest = Manifest::new(request, &method, &*capture, &frames, device::name(&gpus))?;
         if let Some(run) = &request.first_frame {
             manifest.check_first_frame(&RunFolder(run.clone()))?;
@@ -140,7 +142,7 @@ impl<'a> Job<'a> {
         let lock = FolderLock::take(&folder.0)?;
         manifest.claim(&folder, request.resume)?;
         folder.remove_half_written()?;
-        Ok(Self { request, capture, tracks, views, frames, folder, manifest, gpus, _lock: lock })
+        Ok(Self { request, capture, tracks, views, frames, read_ahead, folder, manifest, gpus, _lock: lock })
     }
 
     fn reconstructor<'s>(&'s self, console: &'s Console) -> Result<Reconstructor<'s>> {
@@ -178,7 +180,8 @@ impl<'a> Job<'a> {
         let capture = &*self.capture;
         let views =
             [training_views(&self.views, frame), test_views(capture, frame), init_views(capture, frame)];
-        frame_digest(capture, &self.views, frame, checksums(capture, &views.concat())?)
+        let tracks = track_checksums(capture, &self.views, frame)?;
+        Ok(frame_digest(&[&checksums(capture, &views.concat())?, &tracks]))
     }
 
     fn config(&self) -> &Config {
@@ -219,9 +222,24 @@ impl<'a> Job<'a> {
         Ok((metrics, frames.last().map(load).transpose()?))
     }
 
-    /// Runs the frames that are not in `metrics` yet.
+    /// Runs the frames that are not in `metrics` yet. Each is read while the one before it is trained.
     fn frames_after(
         &self,
+        metrics: &mut Metrics,
+        last: &mut Option<State>,
+        reconstructor: &mut Reconstructor,
+        console: &Console,
+        go_on: &dyn Fn() -> Result<()>,
+    ) -> Result<()> {
+        std::thread::scope(|scope| {
+            let mut inputs = ReadAhead::new(scope, &*self.capture, &self.views, self.read_ahead.clone());
+            self.frames_from(&mut inputs, metrics, last, reconstructor, console, go_on)
+        })
+    }
+
+    fn frames_from(
+        &self,
+        inputs: &mut ReadAhead,
         metrics: &mut Metrics,
         last: &mut Option<State>,
         reconstructor: &mut Reconstructor,
@@ -233,8 +251,8 @@ impl<'a> Job<'a> {
             go_on()?;
             console.begin_frame(frame);
             let (next, record) = match last.take() {
-                None => self.first_frame(frame, reconstructor)?,
-                Some(previous) => self.later_frame(frame, previous, reconstructor)?,
+                None => self.first_frame(frame, inputs, reconstructor)?,
+                Some(previous) => self.later_frame(frame, previous, inputs, reconstructor)?,
             };
             console.end_frame(&record);
             metrics.push(record);
@@ -252,10 +270,16 @@ impl<'a> Job<'a> {
     }
 
     /// Frame 0, or the first of the frames asked for.
-    fn first_frame(&self, frame: usize, reconstructor: &mut Reconstructor) -> Result<(State, FrameRecord)> {
+    fn first_frame(
+        &self,
+        frame: usize,
+        inputs: &mut ReadAhead,
+        reconstructor: &mut Reconstructor,
+    ) -> Result<(State, FrameRecord)> {
         let start = Instant::now();
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         let (photographs, sums) = first_views_and_checksums(&*self.capture, &self.views, frame)?;
+        inputs.begin(frame + 1);
         record.log.since(stage::LOAD, start);
         write_camera_pictures(&self.folder, &*self.capture, &photographs)?;
         let earlier = self.request.first_frame.as_ref();
@@ -266,7 +290,8 @@ impl<'a> Job<'a> {
         record.log.since(stage::WALL, start);
         let (tests, of_tests) = load_tests(&*self.capture, &state.exposures, frame)?;
         let (own, others) = sums.split_at(self.views.len());
-        record.inputs = Some(self.digest(frame, [own, &of_tests, others])?);
+        let tracks = track_checksums(&*self.capture, &self.views, frame)?;
+        record.inputs = Some(frame_digest(&[own, &of_tests, others, &tracks]));
         let measured = Measured { tests, ..Measured::default() };
         let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
         Ok((state, record))
@@ -296,10 +321,13 @@ impl<'a> Job<'a> {
         &self,
         frame: usize,
         last: State,
+        inputs: &mut ReadAhead,
         reconstructor: &mut Reconstructor,
     ) -> Result<(State, FrameRecord)> {
         let start = Instant::now();
-        let (now, sums) = load_equal(&*self.capture, &last.exposures, &training_views(&self.views, frame))?;
+        let Inputs { views: mut now, sums, track_sums } = inputs.take(frame)?;
+        inputs.begin(frame + 1);
+        last.exposures.remove(&*self.capture, &training_views(&self.views, frame), &mut now)?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         record.log.since(stage::LOAD, start);
         let exposures = last.exposures.clone();
@@ -311,14 +339,9 @@ impl<'a> Job<'a> {
         let state = reconstructor.later_frame(frame, last, now, &mut record.log, &mut measure)?;
         let measured = measured.context("the prediction was not measured")?;
         record.log.add_seconds(stage::WALL, start.elapsed().as_secs_f64() - measured.seconds);
-        record.inputs = Some(self.digest(frame, [&sums, &measured.sums, &[]])?);
+        record.inputs = Some(frame_digest(&[&sums, &measured.sums, &track_sums]));
         let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
         Ok((state, record))
-    }
-
-    /// Digest of a frame's inputs: checksums of its training views, test views and initialisation views.
-    fn digest(&self, frame: usize, sums: [&[Checksum]; 3]) -> Result<String> {
-        frame_digest(&*self.capture, &self.views, frame, sums.concat())
     }
 
     /// What is known of the motion initialisation, before the scene is trained.

@@ -76,6 +76,36 @@ fn a_run_opens_each_image_and_mask_once() {
     assert_eq!(opened.len(), 2 * (2 * (3 + tests) + starts));
 }
 
+/// What is begun is read before it is asked for, and not again; what may not be read ahead is read when it is asked for.
+#[test]
+fn the_next_frame_is_read_ahead() {
+    let opened = Arc::default();
+    let sample = request(Path::new("unused"), &[], 2, false).capture;
+    let capture = Counting { capture: open_capture(&sample).unwrap(), opened: Arc::clone(&opened) };
+    let views = [0, 2];
+    let count = || opened.lock().unwrap().values().sum::<usize>();
+    std::thread::scope(|scope| {
+        let mut inputs = ReadAhead::new(scope, &capture, &views, 0..2);
+        inputs.begin(1);
+        let begun = Instant::now();
+        while count() < 2 * views.len() && begun.elapsed().as_secs() < 60 {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert_eq!(count(), 2 * views.len(), "images and masks opened before they are asked for");
+        let ahead = inputs.take(1).unwrap();
+        assert_eq!(count(), 2 * views.len());
+        let again = inputs.take(1).unwrap();
+        for (a, b) in ahead.views.iter().zip(&again.views) {
+            assert!(a.image == b.image && a.mask == b.mask);
+        }
+        assert!(ahead.views.len() == 2 && ahead.sums == again.sums);
+        assert!(ahead.track_sums == again.track_sums && !ahead.track_sums.is_empty());
+        assert_eq!(count(), 4 * views.len());
+        inputs.begin(2);
+        assert!(inputs.take(capture.frames()).is_err(), "there is no such frame");
+    });
+}
+
 /// Everything but the static lane borrows the static layer: when that lane takes no step and nothing is covered, a frame ends with the very one it began with.
 #[test]
 fn a_frame_copies_the_static_layer_only_to_change_it() {
@@ -88,11 +118,14 @@ fn a_frame_copies_the_static_layer_only_to_change_it() {
         let job = Job::open(&request).unwrap();
         let console = Console::new(true, job.frames.clone());
         let mut reconstructor = job.reconstructor(&console).unwrap();
-        let (first, _) = job.first_frame(0, &mut reconstructor).unwrap();
-        let layer = Arc::clone(&first.scene.static_layer);
-        let (next, _) = job.later_frame(1, first, &mut reconstructor).unwrap();
-        assert_eq!(Arc::ptr_eq(&layer, &next.scene.static_layer), stays, "{steps} steps");
-        assert_eq!(Arc::strong_count(&layer), if stays { 2 } else { 1 }, "who else keeps it?");
+        std::thread::scope(|scope| {
+            let mut inputs = ReadAhead::new(scope, &*job.capture, &job.views, 0..2);
+            let (first, _) = job.first_frame(0, &mut inputs, &mut reconstructor).unwrap();
+            let layer = Arc::clone(&first.scene.static_layer);
+            let (next, _) = job.later_frame(1, first, &mut inputs, &mut reconstructor).unwrap();
+            assert_eq!(Arc::ptr_eq(&layer, &next.scene.static_layer), stays, "{steps} steps");
+            assert_eq!(Arc::strong_count(&layer), if stays { 2 } else { 1 }, "who else keeps it?");
+        });
     }
 }
 
