@@ -26,10 +26,12 @@ pub struct FirstFrameConfig {
     pub position_rate: f32,
     /// Position rate at the last step, likewise.
     pub position_rate_end: f32,
-    /// Rate of log scales.
+    /// Rate of log scales; half of it where views are few.
     pub scale_rate: f32,
     /// Rate of opacity logits.
     pub opacity_rate: f32,
+    /// Rate of SH coefficients of degree 1 and above.
+    pub sh_rest_rate: f32,
     /// Steps between two rounds of growth and removal; 0 = none.
     pub densify_every: usize,
     /// Growth begins and ends at these shares of the steps.
@@ -62,8 +64,9 @@ impl Default for FirstFrameConfig {
             antialiased: true,
             position_rate: 2e-4,
             position_rate_end: 2e-6,
-            scale_rate: 1.5e-2,
+            scale_rate: 3e-2,
             opacity_rate: 3e-2,
+            sh_rest_rate: 3.75e-4,
             densify_every: 200,
             densify_span: [0.1, 0.6],
             grow_gradient: 2e-4,
@@ -81,13 +84,15 @@ impl Default for FirstFrameConfig {
 
 impl FirstFrameConfig {
     /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
-    /// and none with half as many again, and with no more Gaussians than they can tell apart.
+    /// and none with half as many again, with half of `scale_rate` where they are few (docs/adr/0070), and with no more Gaussians than
+    /// they can tell apart.
     #[must_use]
     pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
         let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
         let told_apart = (f64::from(self.gaussians_per_pixel) * pixels as f64) as usize;
         Self {
             dropout: self.dropout * scarcity,
+            scale_rate: self.scale_rate * (1.0 - 0.5 * scarcity),
             max_gaussians: self.max_gaussians.min(told_apart.max(1)),
             ..self
         }
@@ -156,7 +161,12 @@ fn density_config(config: &FirstFrameConfig) -> DensityConfig {
 
 fn rates(c: &FirstFrameConfig, iteration: usize, extent: f32) -> LearningRates {
     let rate = decay(c.position_rate, c.position_rate_end, iteration, c.iterations) * extent;
-    LearningRates { scales: c.scale_rate, opacities: c.opacity_rate, ..LearningRates::with_means(rate) }
+    LearningRates {
+        scales: c.scale_rate,
+        opacities: c.opacity_rate,
+        sh_rest: c.sh_rest_rate,
+        ..LearningRates::with_means(rate)
+    }
 }
 
 /// Growth and removal of Gaussians and the reset of opacities, at their steps.
@@ -195,12 +205,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropout_ends_with_half_as_many_views_again() {
-        let config = FirstFrameConfig { few_views: 12, dropout: 0.4, ..FirstFrameConfig::default() };
-        let shares = [3, 12, 15, 18, 40].map(|views| config.for_photographs(views, 1000).dropout);
-        assert_eq!(shares, [0.4, 0.4, 0.2, 0.0, 0.0]);
+    fn what_few_views_need_ends_with_half_as_many_again() {
+        let config =
+            FirstFrameConfig { few_views: 12, dropout: 0.4, scale_rate: 0.5, ..FirstFrameConfig::default() };
+        let of = |views: usize| {
+            let config = config.for_photographs(views, 1000);
+            (config.dropout, config.scale_rate)
+        };
+        let expected = [(0.4, 0.25), (0.4, 0.25), (0.2, 0.375), (0.0, 0.5), (0.0, 0.5)];
+        assert_eq!([3, 12, 15, 18, 40].map(of), expected);
         let never = FirstFrameConfig { few_views: 0, ..config };
-        assert_eq!([1, 3].map(|views| never.for_photographs(views, 1000).dropout), [0.0; 2]);
+        let never = [1, 3].map(|views| never.for_photographs(views, 1000));
+        assert_eq!(never.map(|config| (config.dropout, config.scale_rate)), [(0.0, 0.5); 2]);
     }
 
     #[test]
