@@ -120,7 +120,7 @@ pub struct RunArgs {
     /// Take this many steps of Adam per frame for the static layer's colours, instead of one linear solve (0 = leave them)
     #[arg(long, value_name = "N")]
     pub static_iterations: Option<usize>,
-    /// Iterations of the first frame
+    /// Iterations of the first frame [default: first_frame.iterations of the settings]
     #[arg(long, value_name = "N")]
     pub first_iterations: Option<usize>,
     /// Frames A to B, B left out; `..B` and `A..` are allowed
@@ -151,7 +151,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "N")]
     pub keep: Option<NonZeroUsize>,
     /// Most memory that the run may take [default: what the machine has free]; one that needs more does not start, and says
-    /// what to change
+    /// what to change; where it is just enough, the next frame's photographs are not read ahead
     #[arg(long, value_name = "MIB")]
     pub memory: Option<usize>,
     /// Messages.

@@ -13,14 +13,14 @@ use std::thread::{Scope, ScopedJoinHandle};
 pub(crate) struct Inputs {
     /// Training views, in the exposure of each camera.
     pub views: Vec<TrainingView>,
-    /// Of what the training views were read from.
+    /// Checksums of the files that the training views were read from.
     pub sums: Vec<Checksum>,
-    /// Of the tracks into the frame.
+    /// Checksums of the tracker files of the motion into the frame.
     pub track_sums: Vec<Checksum>,
 }
 
 impl Inputs {
-    /// Those of `frame` for the training views `views` (by index).
+    /// Reads the inputs of `frame` for the training views `views` (by index).
     fn read(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Self> {
         let track_sums = track_checksums(capture, views, frame)?;
         let (views, sums) = load_views(capture, &training_views(views, frame))?;
@@ -39,7 +39,7 @@ pub(crate) struct ReadAhead<'scope, 'env> {
 }
 
 impl<'scope, 'env> ReadAhead<'scope, 'env> {
-    /// Nothing yet; of the training views `views` (by index) no others than `frames` are read ahead.
+    /// Reads nothing yet. Only `frames` will be read ahead, of the training views `views` (by index).
     pub(crate) fn new(
         scope: &'scope Scope<'scope, 'env>,
         capture: &'env dyn Capture,
@@ -60,7 +60,7 @@ impl<'scope, 'env> ReadAhead<'scope, 'env> {
         }
     }
 
-    /// The inputs of `frame`: what was begun, or read now.
+    /// The inputs of `frame`: waits for the reading that was begun, or else reads them now.
     ///
     /// # Errors
     /// When one of them cannot be read.
