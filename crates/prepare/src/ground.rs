@@ -10,6 +10,7 @@ use ffgs_core::Camera;
 use glam::{DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
+use std::ops::RangeInclusive;
 
 /// Windows that are compared to find the plane, over all views, and to find points on it.
 const SAMPLES: usize = 8_000;
@@ -31,9 +32,13 @@ const STEPS: [f64; 4] = [0.04, 0.02, 0.01, 0.005];
 const REPEATS: usize = 8;
 /// Largest tilt of the ground (radians).
 const STEEPEST: f64 = 0.12;
-/// Least number of neighbours, per window, that agree on the ground, and how many times as many as on the median plane that was tried.
-const LEAST_SHARE: f64 = 0.03;
-const DISTINCT: f64 = 3.0;
+/// Planes that the ground is compared with: so many steps deeper, and as many less deep, by a fifth to four fifths of the depth.
+const ASIDE: RangeInclusive<usize> = 10..=30;
+/// How many times as much support it has as the median of those, by how many standard deviations (of a count) more, and least share of the
+/// windows.
+const DISTINCT: f64 = 2.2;
+const DEVIATIONS: f64 = 10.0;
+const LEAST_SHARE: f64 = 0.02;
 /// It reaches as far from its points as this share of the distance from the camera.
 const REACH: f64 = 0.25;
 /// What is farther than the ground by this factor in all views lies beneath it.
@@ -65,11 +70,40 @@ struct Sample {
 /// How many pairs of a window and a neighbour agree on a plane.
 type Support<'a> = &'a dyn Fn(&Plane) -> usize;
 
+/// How clear the best plane is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Prominence {
+    /// Windows that were compared.
+    windows: usize,
+    /// Its support.
+    support: usize,
+    /// The median support of planes that are a fifth to four fifths deeper, or less deep.
+    aside: usize,
+}
+
+impl Prominence {
+    /// Many windows agree on a road from afar, whatever its depth: only a plane that far more agree on than on those about it is one.
+    fn stands_out(self) -> bool {
+        let [windows, support, aside] = [self.windows, self.support, self.aside].map(|count| count as f64);
+        support > DISTINCT * aside
+            && support - aside > DEVIATIONS * (aside + 1.0).sqrt()
+            && support > LEAST_SHARE * windows
+    }
+}
+
+impl std::fmt::Display for Prominence {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { windows, support, aside } = self;
+        write!(f, "{windows} windows agree {support} times, {aside} times on planes aside")
+    }
+}
+
 impl Ground {
-    /// `None` where no plane stands out.
-    pub(crate) fn find(pictures: &Pictures) -> Option<Self> {
-        let plane = Plane::find(pictures)?;
-        Self::new(plane, plane.points(pictures))
+    /// `None` where no plane stands out; and how clear the best one is.
+    pub(crate) fn find(pictures: &Pictures) -> (Option<Self>, Prominence) {
+        let Some((plane, prominence)) = Plane::find(pictures) else { return (None, Prominence::default()) };
+        let ground = prominence.stands_out().then(|| Self::new(plane, plane.points(pictures)));
+        (ground.flatten(), prominence)
     }
 
     fn new(plane: Plane, points: Vec<StereoPoint>) -> Option<Self> {
@@ -102,19 +136,20 @@ impl Ground {
 }
 
 impl Plane {
-    /// `None` where none stands out.
-    fn find(pictures: &Pictures) -> Option<Self> {
+    /// The plane with the largest support; `None` of cameras that are all at one place.
+    fn find(pictures: &Pictures) -> Option<(Self, Prominence)> {
         let samples = samples(pictures, SAMPLES);
         let support =
             |plane: &Self| samples.par_iter().map(|s| plane.witnesses(pictures, s, STRETCH)).sum::<usize>();
         let tried: Vec<(usize, Self)> =
             level_planes(&pictures.grey)?.map(|plane| (support(&plane), plane)).collect();
-        let mut counts: Vec<usize> = tried.iter().map(|(count, _)| *count).collect();
+        let at = (0..tried.len()).max_by_key(|&at| tried[at].0)?;
+        let (support, plane) = refine(tried[at], &pictures.grey, &support);
+        let beside = (0..tried.len()).filter(|other| ASIDE.contains(&other.abs_diff(at)));
+        let mut counts: Vec<usize> = beside.map(|other| tried[other].0).collect();
         counts.sort_unstable();
-        let best = tried.into_iter().max_by_key(|(count, _)| *count)?;
-        let (count, plane) = refine(best, &pictures.grey, &support);
-        let least = (LEAST_SHARE * samples.len() as f64).max(DISTINCT * counts[counts.len() / 2] as f64);
-        (count as f64 > least).then_some(plane)
+        let aside = counts[counts.len() / 2];
+        Some((plane, Prominence { windows: samples.len(), support, aside }))
     }
 
     /// Depth (m) at which a pixel shows it; `None` at and above the horizon.
@@ -237,7 +272,7 @@ mod tests {
     fn a_painted_floor_is_the_ground_and_its_points_lie_on_it() {
         let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
         let pictures = Pictures::new(&views);
-        let ground = Ground::find(&pictures).unwrap();
+        let ground = Ground::find(&pictures).0.unwrap();
         let Plane { normal, offset } = ground.plane;
         assert!(normal.angle_between(DVec3::NEG_Y) < 0.02, "{normal}");
         assert!((offset + FLOOR).abs() < 0.04 * FLOOR, "{offset}");
@@ -252,9 +287,18 @@ mod tests {
         let wall: Vec<_> = (0..5).map(|i| view(i, wall)).collect();
         let noise: Vec<_> = (0..5).map(|i| view(i, |_, pixel| noise(i, pixel))).collect();
         for views in [&wall[..], &noise, &wall[..1], &[]] {
-            let found = Plane::find(&Pictures::new(views));
-            assert!(found.is_none(), "{found:?} in {} views", views.len());
+            let (found, prominence) = Ground::find(&Pictures::new(views));
+            assert!(found.is_none(), "{prominence} in {} views", views.len());
         }
+    }
+
+    #[test]
+    fn what_stands_out_has_far_more_support_than_planes_aside() {
+        let stands_out = |windows, support, aside| Prominence { windows, support, aside }.stands_out();
+        // A bend in rain, a straight by night; a filmed room from above, a filmed fox on a table, walls alone.
+        assert!(stands_out(3849, 207, 68) && stands_out(3866, 97, 13));
+        assert!(!stands_out(3791, 66, 35) && !stands_out(5254, 364, 244) && !stands_out(5175, 79, 1));
+        assert!(!stands_out(0, 0, 0) && !stands_out(100, 9, 0), "by chance");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Initial points: matched features and surfaces, the ground, the visual hull for what moves, and samples spread in depth for the rest.
 
 use crate::free_space::FreeSpace;
-use crate::ground::Ground;
+use crate::ground::{Ground, Prominence};
 use crate::rows::{Row, row};
 use crate::stereo::{self, StereoPoint};
 use crate::sweep::Sweeps;
@@ -63,11 +63,11 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     let sweeps = Sweeps::new(&pictures, if known.is_empty() { &features } else { known });
     let swept = sweeps.points();
     progress.advance("points", 2, PARTS);
-    let ground = Ground::find(&pictures);
+    let (ground, prominence) = Ground::find(&pictures);
     let on_ground = ground.as_ref().map_or(&[][..], Ground::points);
     progress.advance("points", 3, PARTS);
-    let (of_features, of_sweeps, of_ground) =
-        (features.len(), swept.len(), ground.as_ref().map(|_| on_ground.len()));
+    let (of_features, of_sweeps) = (features.len(), swept.len());
+    let of_ground = (ground.as_ref().map(|_| on_ground.len()), prominence);
     let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
     let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
     found.extend(&swept);
@@ -80,15 +80,23 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
 }
 
 /// In words: how many points there are of the calibration, of features, of sweeps and of the ground, where one was found, and how many of these are `left`.
-fn account(known: usize, features: usize, swept: usize, ground: Option<usize>, left: usize) -> String {
+fn account(
+    known: usize,
+    features: usize,
+    swept: usize,
+    (ground, prominence): (Option<usize>, Prominence),
+    left: usize,
+) -> String {
     let first = if known > 0 {
         format!("{known} of the calibration")
     } else {
         format!("{features} matched between cameras")
     };
     let (of_ground, where_wrong) = match ground {
-        Some(count) => (format!("{count} on the ground"), "in mid-air or beneath the ground"),
-        None => ("none on the ground, as no plane stands out".to_owned(), "in mid-air"),
+        Some(count) => {
+            (format!("{count} on the ground, where {prominence}"), "in mid-air or beneath the ground")
+        }
+        None => (format!("none on the ground, as no plane stands out: {prominence}"), "in mid-air"),
     };
     let left_out = known + features + swept + ground.unwrap_or(0) - left;
     format!("{first}, {swept} by plane sweeps and {of_ground} ({left_out} {where_wrong} left out)")
