@@ -1,6 +1,6 @@
 //! Adaptive density control of 3D Gaussian Splatting (Kerbl et al. 2023, section 5), with a hard cap.
 //!
-//! A Gaussian whose projected mean has a large average gradient is cloned when small and split in two when large;
+//! A Gaussian whose projected mean has a large average gradient is replaced by two, or cloned ([`Split`]);
 //! transparent and oversized ones are removed. When the cap leaves no room for all candidates, those with the
 //! largest gradients win.
 
@@ -11,15 +11,38 @@ use rand_chacha::ChaCha8Rng;
 
 /// Children of a split.
 const CHILDREN: usize = 2;
-/// A child's scale is its parent's divided by `0.8 * CHILDREN` (3DGS `densify_and_split`).
+/// A sampled child's scale is its parent's divided by `0.8 * CHILDREN` (3DGS `densify_and_split`).
 const CHILD_SHRINK: f32 = 0.8 * CHILDREN as f32;
+/// Halves lie this far from their parent along its longest axis (standard deviations), and are so many times as large along it and
+/// along the others, and as opaque.
+const HALF: HalfShape = HalfShape { offset: 0.5, along: 0.5, across: 0.85, opacity: 0.6 };
+
+/// How one half differs from its parent.
+struct HalfShape {
+    offset: f32,
+    along: f32,
+    across: f32,
+    opacity: f32,
+}
+
+/// How Gaussians that grow become more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// As in 3DGS: small ones are cloned, large ones replaced by two random samples of their density.
+    Sampled,
+    /// All are replaced by two halves beside each other on the longest axis, less opaque, as they overlap (long-axis split of Deng et
+    /// al. 2024, "Efficient Density Control for 3D Gaussian Splatting"; docs/adr/0071).
+    Halves,
+}
 
 /// Thresholds of the density control; defaults of 3DGS.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DensityConfig {
     /// Mean gradient of the projected position from which a Gaussian grows (loss per half image width, NDC units).
     pub grow_gradient: f32,
-    /// Largest standard deviation that is still cloned and not split, as a share of the scene's extent.
+    /// How they become more.
+    pub split: Split,
+    /// Largest standard deviation that is still cloned and not split, as a share of the scene's extent ([`Split::Sampled`]).
     pub split_scale: f32,
     /// Opacity below which a Gaussian is removed.
     pub prune_opacity: f32,
@@ -33,6 +56,7 @@ impl Default for DensityConfig {
     fn default() -> Self {
         Self {
             grow_gradient: 2e-4,
+            split: Split::Sampled,
             split_scale: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
@@ -136,6 +160,11 @@ impl DensityControl {
         Self { config, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
+    /// Sets the number of Gaussians that growth never exceeds.
+    pub fn set_limit(&mut self, max_gaussians: usize) {
+        self.config.max_gaussians = max_gaussians;
+    }
+
     /// Decides by `sums`; `extent` is the radius of the camera positions (m).
     pub fn plan(&self, gaussians: &Gaussians, sums: &GradientSums, extent: f32) -> DensityPlan {
         let prune: Vec<bool> = (0..gaussians.len()).map(|i| self.is_pruned(gaussians, extent, i)).collect();
@@ -143,8 +172,9 @@ impl DensityControl {
         let room = self.config.max_gaussians.saturating_sub(kept);
         let (mut clone, mut split) = (Vec::new(), Vec::new());
         for i in self.best_candidates(&prune, sums, room) {
-            let large = largest_scale(gaussians, i) > self.config.split_scale * extent;
-            if large { split.push(i) } else { clone.push(i) }
+            let cloned = self.config.split == Split::Sampled
+                && largest_scale(gaussians, i) <= self.config.split_scale * extent;
+            if cloned { clone.push(i) } else { split.push(i) }
         }
         DensityPlan { clone, split, prune }
     }
@@ -181,7 +211,10 @@ impl DensityControl {
         keeps_moments.resize(sources.len(), false);
         *gaussians = gaussians.select(&sources);
         for i in first_child..sources.len() {
-            self.make_child(gaussians, i);
+            match self.config.split {
+                Split::Sampled => self.make_child(gaussians, i),
+                Split::Halves => make_half(gaussians, i, (i - first_child).is_multiple_of(CHILDREN)),
+            }
         }
         IndexMap { sources, keeps_moments }
     }
@@ -212,12 +245,29 @@ impl DensityControl {
     fn make_child(&mut self, gaussians: &mut Gaussians, i: usize) {
         let scale = Vec3::from(gaussians.log_scales[i]).exp();
         let offset = scale * Vec3::from_array(std::array::from_fn(|_| normal(&mut self.rng)));
-        let [w, x, y, z] = gaussians.quats[i];
-        let rotation = Quat::from_xyzw(x, y, z, w);
-        let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { Quat::IDENTITY };
-        gaussians.means[i] = (Vec3::from(gaussians.means[i]) + rotation * offset).to_array();
+        move_by(gaussians, i, offset);
         gaussians.log_scales[i] = gaussians.log_scales[i].map(|s| s - CHILD_SHRINK.ln());
     }
+}
+
+/// Turns a copy of the parent into its half ahead, or behind, on the longest axis.
+fn make_half(gaussians: &mut Gaussians, i: usize, ahead: bool) {
+    let longest = Vec3::from(gaussians.log_scales[i]).max_position();
+    let mut offset = Vec3::ZERO;
+    offset[longest] = gaussians.log_scales[i][longest].exp() * if ahead { HALF.offset } else { -HALF.offset };
+    move_by(gaussians, i, offset);
+    for (axis, scale) in gaussians.log_scales[i].iter_mut().enumerate() {
+        *scale += if axis == longest { HALF.along.ln() } else { HALF.across.ln() };
+    }
+    gaussians.opacity_logits[i] = logit(HALF.opacity * sigmoid(gaussians.opacity_logits[i]));
+}
+
+/// Moves a Gaussian by an offset along its own axes (m).
+fn move_by(gaussians: &mut Gaussians, i: usize, offset: Vec3) {
+    let [w, x, y, z] = gaussians.quats[i];
+    let rotation = Quat::from_xyzw(x, y, z, w);
+    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { Quat::IDENTITY };
+    gaussians.means[i] = (Vec3::from(gaussians.means[i]) + rotation * offset).to_array();
 }
 
 /// A standard normal sample (Box-Muller).
@@ -280,6 +330,29 @@ mod tests {
         assert_ne!(g.means[3], g.means[4]);
         assert!((g.log_scales[3][0] - (0.05f32 / 1.6).ln()).abs() < 1e-6);
         assert!(g.means[3][0].abs() < 5.0 * 0.05 && g.means[3][1].abs() < 5.0 * 0.001);
+    }
+
+    #[test]
+    fn halves_lie_on_the_longest_axis_and_hide_no_more_than_their_parent() {
+        let mut g = scene();
+        // A quarter turn about z: the longest axis, x, points along y.
+        g.quats[1] = [2.0, 0.0, 0.0, 2.0];
+        let parent = g.clone();
+        let mut control = control(DensityConfig { split: Split::Halves, ..DensityConfig::default() });
+        let plan = control.plan(&g, &sums(), 1.0);
+        assert_eq!((plan.clone.len(), &plan.split[..]), (0, &[0, 1][..]), "small ones are split, too");
+        let map = control.apply(&plan, &mut g);
+        assert_eq!(map.sources, [2, 0, 0, 1, 1]);
+        g.validate().unwrap();
+        for (half, side) in [(3, 0.025), (4, -0.025)] {
+            let expected = Vec3::from(parent.means[1]) + Vec3::Y * side;
+            assert!((Vec3::from(g.means[half]) - expected).length() < 1e-6, "{:?}", g.means[half]);
+            let scales = g.log_scales[half].map(f32::exp);
+            let expected = [0.025, 0.000_85, 0.000_85];
+            assert!(scales.iter().zip(expected).all(|(s, e)| (s / e - 1.0).abs() < 1e-4), "{scales:?}");
+            let [one, whole] = [sigmoid(g.opacity_logits[half]), sigmoid(parent.opacity_logits[1])];
+            assert!((one - 0.6 * whole).abs() < 1e-6);
+        }
     }
 
     #[test]

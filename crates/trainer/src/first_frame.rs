@@ -2,7 +2,7 @@
 
 use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
-use crate::density_control::{DensityConfig, DensityControl, reset_opacities};
+use crate::density_control::{DensityConfig, DensityControl, Split, reset_opacities};
 use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
@@ -125,12 +125,14 @@ pub fn train_first_frame<B: TrainBackend>(
         return Ok(start);
     }
     let FirstFrame { gaussians, mut sky } = start;
+    let points = gaussians.len();
     let mut layer = Arc::new(gaussians);
     let around = Around::TrainedSky(&mut sky, config.sky_rate);
     let task_views = views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect();
     let task = LayerTask { sums_gradients: true, ..LayerTask::new(&mut layer, task_views, around) };
     let mut training = backend.upload_layer(task)?;
-    let mut rounds = Rounds { config, extent, density: DensityControl::new(density_config(config), seed) };
+    let density = DensityControl::new(density_config(config), seed);
+    let mut rounds = Rounds { config, extent, start: points, density };
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
@@ -155,6 +157,7 @@ fn density_config(config: &FirstFrameConfig) -> DensityConfig {
         grow_gradient: config.grow_gradient,
         max_gaussians: config.max_gaussians,
         prune_scale: f32::INFINITY,
+        split: Split::Halves,
         ..DensityConfig::default()
     }
 }
@@ -173,10 +176,23 @@ fn rates(c: &FirstFrameConfig, iteration: usize, extent: f32) -> LearningRates {
 struct Rounds<'a> {
     config: &'a FirstFrameConfig,
     extent: f32,
+    /// Number of Gaussians at the first step.
+    start: usize,
     density: DensityControl,
 }
 
 impl Rounds<'_> {
+    /// How many Gaussians there may be after the round at step `done`: the limit is reached with the last round, so that early rounds, in which
+    /// everything has large gradients, do not use it up.
+    fn limit(&self, done: usize) -> usize {
+        let c = self.config;
+        let [from, to] = c.densify_span;
+        let next = (done + c.densify_every) as f32 / c.iterations as f32;
+        let share = if to > from { ((next - from) / (to - from)).clamp(0.0, 1.0) } else { 1.0 };
+        let grown = self.start + (share * c.max_gaussians.saturating_sub(self.start) as f32) as usize;
+        grown.min(c.max_gaussians)
+    }
+
     fn after_step<L: LayerTraining>(&mut self, done: usize, training: &mut L) -> Result<(), L::Error> {
         let c = self.config;
         let share = done as f32 / c.iterations as f32;
@@ -192,6 +208,7 @@ impl Rounds<'_> {
                 reset_opacities(gaussians, RESET_OPACITY);
             }
             let map = grows.then(|| {
+                self.density.set_limit(self.limit(done));
                 let plan = self.density.plan(gaussians, sums, self.extent);
                 self.density.apply(&plan, gaussians)
             });
@@ -217,6 +234,26 @@ mod tests {
         let never = FirstFrameConfig { few_views: 0, ..config };
         let never = [1, 3].map(|views| never.for_photographs(views, 1000));
         assert_eq!(never.map(|config| (config.dropout, config.scale_rate)), [(0.0, 0.5); 2]);
+    }
+
+    #[test]
+    fn the_last_round_reaches_the_limit() {
+        let config = FirstFrameConfig {
+            iterations: 1000,
+            densify_every: 100,
+            densify_span: [0.1, 0.6],
+            max_gaussians: 600,
+            ..FirstFrameConfig::default()
+        };
+        let limits = |start: usize, config: &FirstFrameConfig| {
+            let density = DensityControl::new(density_config(config), 1);
+            let rounds = Rounds { config, extent: 1.0, start, density };
+            [100, 300, 500, 600].map(|done| rounds.limit(done))
+        };
+        assert_eq!(limits(100, &config), [200, 400, 600, 600]);
+        assert_eq!(limits(700, &config), [600; 4], "no more than the limit, whatever there was");
+        let at_once = FirstFrameConfig { densify_span: [0.3, 0.3], ..config };
+        assert_eq!(limits(100, &at_once), [600; 4]);
     }
 
     #[test]

@@ -35,7 +35,9 @@ pub use backend::{
 pub use background::{BackgroundConfig, StaticMethod};
 pub use birth::{BirthConfig, Newborn, train_newborn, unexplained};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
-pub use density_control::{DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, normal};
+pub use density_control::{
+    DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, Split, normal,
+};
 pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, train_dynamic};
 pub use exposures::estimate_exposures;
