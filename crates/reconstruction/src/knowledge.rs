@@ -27,7 +27,7 @@ impl Predicted {
     /// After the motion; `None` when nothing is known or asked for.
     pub(crate) fn new(scene: &Scene, config: &DynamicLaneConfig) -> Option<Self> {
         let Knowledge { information, drift, noise: [sigma, correlated] } = &scene.dynamic.knowledge;
-        if information.is_empty() || config.prior_weight == 0.0 {
+        if information.is_empty() || (config.prior_weight == 0.0 && config.natural_step == 0.0) {
             return None;
         }
         let positions = scene.dynamic.covariances.iter().map(|&c| symmetric_inverse(c));

@@ -96,6 +96,25 @@ impl<'a> GpuLayer<'a> {
         Ok(())
     }
 
+    /// Takes the step at hand, by Adam or by a share of the natural step where there is a prior.
+    fn descend(&mut self, natural: Option<f32>, rates: &LearningRates) -> Result<(), GpuError> {
+        let mut commands = self.recording();
+        let Self { optimiser, stamp, targets, workspace, .. } = self;
+        let target = &targets[self.at];
+        match (natural, &self.prior) {
+            (Some(share), Some(prior)) => {
+                prior.prepare(workspace.gpu, (share, rates), *stamp, optimiser.fixed);
+                prior.step(&mut commands, target, optimiser);
+            }
+            _ => {
+                optimiser.prepare(rates, *stamp);
+                optimiser.step(&mut commands);
+            }
+        }
+        self.around.step(&mut commands, target, workspace, optimiser.corrections());
+        workspace.gpu.submit(commands)
+    }
+
     fn sums(&self) -> Result<GradientSums, GpuError> {
         let ledger = self.optimiser.ledger()?;
         Ok(GradientSums {
@@ -162,12 +181,11 @@ impl Training for GpuLayer<'_> {
     }
 
     fn step(&mut self, rates: &LearningRates) -> Result<(), GpuError> {
-        self.optimiser.prepare(rates, self.stamp);
-        let mut commands = self.recording();
-        self.optimiser.step(&mut commands);
-        let target = &self.targets[self.at];
-        self.around.step(&mut commands, target, &self.workspace, self.optimiser.corrections());
-        self.workspace.gpu.submit(commands)
+        self.descend(None, rates)
+    }
+
+    fn step_naturally(&mut self, share: f32, rates: &LearningRates) -> Result<(), GpuError> {
+        self.descend(Some(share), rates)
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {

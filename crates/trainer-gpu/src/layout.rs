@@ -53,5 +53,32 @@ pub(crate) struct PriorUniform {
     pub items: u32,
     pub coefficients: u32,
     pub strength: f32,
-    pub padding: u32,
+    pub unit: f32,
+    pub damping_means: f32,
+    pub damping_turns: f32,
+    pub damping_scales: f32,
+    pub damping_opacities: f32,
+    pub damping_sh0: f32,
+    pub damping_sh_rest: f32,
+    pub padding_a: u32,
+    pub padding_b: u32,
+}
+
+/// `Natural` of `shaders/common/natural.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct NaturalUniform {
+    pub stamp: u32,
+    /// Items at the front that stay.
+    pub fixed: u32,
+    pub share: f32,
+    pub means: f32,
+    pub quats: f32,
+    pub scales: f32,
+    pub opacities: f32,
+    pub sh0: f32,
+    pub sh_rest: f32,
+    pub padding_a: u32,
+    pub padding_b: u32,
+    pub padding_c: u32,
 }

@@ -19,7 +19,7 @@ pub(crate) struct Optimiser<'a> {
     gpu: &'a Gpu,
     pub scene: GpuScene,
     pub gradients: GpuGradients,
-    first: GpuScene,
+    pub first: GpuScene,
     second: GpuScene,
     corrections: Buffer,
     geometry_step: Buffer,

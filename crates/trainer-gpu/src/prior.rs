@@ -1,16 +1,17 @@
 //! The prior of a layer's parameters, on the device. CPU twin: `Penalty` in trainer/src/prior.rs.
 
 use crate::kernels;
-use crate::layout::PriorUniform;
+use crate::layout::{NaturalUniform, PriorUniform};
 use crate::optimiser::Optimiser;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer_gpu::GpuScene;
-use ffgs_trainer::{Prior, SSIM_WEIGHT};
+use ffgs_trainer::{Damping, LearningRates, Prior, SSIM_WEIGHT};
 
 /// The prior of a training and where the layer was at its start.
 pub(crate) struct GpuPrior {
     uniform: Buffer,
+    natural: Buffer,
     /// Views that see each Gaussian.
     seen: Buffer,
     /// (N, 8) xx, xy, xz, yy, yz, zz of the positions' information (1/m^2).
@@ -30,15 +31,24 @@ impl GpuPrior {
             .map(|m| [m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z, 0.0, 0.0])
             .map(|row| row.map(|v| v as f32))
             .collect();
-        let noise = prior.noise.sigma * prior.noise.correlated;
+        let unit = (1.0 - SSIM_WEIGHT as f32) * (prior.noise.sigma * prior.noise.correlated) as f32;
+        let damping = Damping::new(information);
         let uniform = PriorUniform {
             items: start.count as u32,
             coefficients: ffgs_core::sh_coefficients(start.sh_degree) as u32,
-            strength: prior.weight * (1.0 - SSIM_WEIGHT as f32) * noise as f32,
-            padding: 0,
+            strength: prior.weight * unit,
+            unit,
+            damping_means: damping.means,
+            damping_turns: damping.turns,
+            damping_scales: damping.scales,
+            damping_opacities: damping.opacities,
+            damping_sh0: damping.sh0,
+            damping_sh_rest: damping.sh_rest,
+            ..PriorUniform::default()
         };
         Ok(Self {
             uniform: gpu.uniform("prior", &uniform)?,
+            natural: gpu.uniform("natural step", &NaturalUniform::default())?,
             seen,
             positions: gpu.upload("information", &rows)?,
             others: GpuScene::upload(gpu, &information.others)?,
@@ -48,7 +58,7 @@ impl GpuPrior {
 
     /// Adds its derivative to that of the loss of a view, for the Gaussians that the view drew.
     pub(crate) fn pull(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
-        let Self { uniform, seen, positions, others, start } = self;
+        let Self { uniform, seen, positions, others, start, .. } = self;
         let (scene, gradients) = (&optimiser.scene, &optimiser.gradients);
         let shared = |now, start, known, gradient| {
             [
@@ -70,5 +80,40 @@ impl GpuPrior {
         let colours = shared(&scene.sh, &start.sh, &others.sh, &gradients.scene.sh);
         let values = scene.count * 3 * ffgs_core::sh_coefficients(scene.sh_degree);
         commands.run(&kernels::PRIOR_COLOURS, &colours, Groups::Items(values));
+    }
+
+    /// Sets the step that [`step`](Self::step) records: `share` of the way to the minimum, within `rates`.
+    pub(crate) fn prepare(&self, gpu: &Gpu, (share, rates): (f32, &LearningRates), stamp: u32, fixed: usize) {
+        let LearningRates { means, quats, scales, opacities, sh0, sh_rest } = *rates;
+        let fixed = fixed as u32;
+        let step = NaturalUniform {
+            stamp,
+            fixed,
+            share,
+            means,
+            quats,
+            scales,
+            opacities,
+            sh0,
+            sh_rest,
+            ..NaturalUniform::default()
+        };
+        gpu.write(&self.natural, &[step]);
+    }
+
+    /// Records one step along the natural gradient.
+    pub(crate) fn step(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
+        let Self { uniform, natural, seen, positions, others, .. } = self;
+        let Optimiser { scene, gradients, first, .. } = optimiser;
+        let ledger = &gradients.ledger;
+        let corrections = optimiser.corrections();
+        let [a, b, c, d, e, f] = [uniform, &target.loss, natural, ledger, corrections, seen];
+        let [known, down, now, mean] = [others, &gradients.scene, scene, first].map(|s| &s.geometry);
+        let geometry = [a, b, c, d, e, f, known, positions, down, now, mean];
+        commands.run(&kernels::NATURAL_GEOMETRY, &geometry, Groups::Items(scene.count));
+        let [known, down, now, mean] = [others, &gradients.scene, scene, first].map(|s| &s.sh);
+        let colours = [a, b, c, d, e, f, known, down, now, mean];
+        let values = scene.count * 3 * ffgs_core::sh_coefficients(scene.sh_degree);
+        commands.run(&kernels::NATURAL_COLOURS, &colours, Groups::Items(values));
     }
 }

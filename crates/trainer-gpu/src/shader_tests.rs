@@ -1,7 +1,7 @@
 //! Checks of the shaders that need no GPU.
 
 use crate::kernels;
-use crate::layout::{AdamUniform, CarryUniform, LossUniform, PriorUniform, SkyUniform};
+use crate::layout::{AdamUniform, CarryUniform, LossUniform, NaturalUniform, PriorUniform, SkyUniform};
 use ffgs_gpu::host_layout;
 use ffgs_gpu::reflection::{Reflection, constant_faults};
 
@@ -14,11 +14,42 @@ fn every_shader_is_valid_and_within_the_guaranteed_limits() {
 
 #[test]
 fn host_structs_have_the_layout_of_the_shaders() {
+    let prior = host_layout!(
+        PriorUniform,
+        items,
+        coefficients,
+        strength,
+        unit,
+        damping_means,
+        damping_turns,
+        damping_scales,
+        damping_opacities,
+        damping_sh0,
+        damping_sh_rest,
+        padding_a,
+        padding_b
+    );
+    let natural = host_layout!(
+        NaturalUniform,
+        stamp,
+        fixed,
+        share,
+        means,
+        quats,
+        scales,
+        opacities,
+        sh0,
+        sh_rest,
+        padding_a,
+        padding_b,
+        padding_c
+    );
     let twins = [
         ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
         ("Adam", host_layout!(AdamUniform, items, width, stamp, fixed, rates)),
         ("Carry", host_layout!(CarryUniform, rows, width, dropped, padding)),
-        ("Prior", host_layout!(PriorUniform, items, coefficients, strength, padding)),
+        ("Prior", prior),
+        ("Natural", natural),
         ("Sky", host_layout!(SkyUniform, size, scale, rate, epsilon)),
     ];
     for (name, host) in twins {
@@ -39,6 +70,7 @@ fn constants_are_those_of_the_host() {
         ("CORRECTED_STEPS", host::CORRECTED_STEPS as f64),
         ("C1", f64::from(host::C1)),
         ("C2", f64::from(host::C2)),
+        ("LONGEST", f64::from(host::LONGEST)),
         ("RADIUS", host::RADIUS as f64),
         ("HALO", (rasterizer::TILE + 2 * host::RADIUS) as f64),
         ("TILE", rasterizer::TILE as f64),

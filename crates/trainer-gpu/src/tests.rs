@@ -8,13 +8,16 @@ use crate::optimiser::Optimiser;
 use crate::prior::GpuPrior;
 use crate::target::{Selection, Target};
 use crate::workspace::{OPTIONS, Workspace, largest_view};
-use ffgs_core::{Mask, PlanarImage, SkyCube};
+use ffgs_core::{Gaussians, Mask, PlanarImage, SkyCube};
 use ffgs_gpu::Gpu;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
+use ffgs_trainer::constants::LONGEST;
 use ffgs_trainer::{
-    Adam, Columns, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise, Prior, TaskView, Update,
+    Adam, Columns, Curvature, Damping, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise,
+    Prior, TaskView, Update,
 };
+use glam::DMat3;
 use scene::{SIZE, SKY, blob, information, joint, perturbed, photographs, render, world};
 
 fn half(first: usize) -> Mask {
@@ -70,17 +73,7 @@ fn steps_of_the_optimiser_agree() {
         let gradient = blob(50, [0.0; 3], 1e-6, 10 + u64::from(step));
         let touched: Vec<bool> = (0..50).map(|i| i % (step as usize + 1) != 0).collect();
         adam.step(&mut expected, &gradient, &rates, Update::Touched(&touched));
-        let rows: Vec<_> = (0..50).map(|i| ffgs_rasterizer_gpu::Geometry::of(&gradient, i)).collect();
-        gpu.write(&optimiser.gradients.scene.geometry, &rows);
-        gpu.write(&optimiser.gradients.scene.sh, &gradient.sh);
-        let ledger: Vec<Ledger> = (0..50)
-            .map(|i| Ledger {
-                stamp: if touched[i] { step } else { 0 },
-                steps: adam.steps()[i],
-                ..Ledger::default()
-            })
-            .collect();
-        gpu.write(&optimiser.gradients.ledger, &ledger);
+        write_step(&gpu, &optimiser, &gradient, (&touched, adam.steps()), step);
         optimiser.prepare(&rates, step);
         let mut commands = gpu.commands();
         optimiser.step(&mut commands);
@@ -93,6 +86,76 @@ fn steps_of_the_optimiser_agree() {
     assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
     assert!(close(&found.opacity_logits, &expected.opacity_logits));
     assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+}
+
+/// What a step of Adam is compared with, for steps along the natural gradient; some Gaussians are unknown, as newborn ones.
+#[test]
+#[ignore = "needs a GPU"]
+fn natural_steps_agree() {
+    let gpu = Gpu::for_test();
+    let mut expected = blob(50, [0.0; 3], 1.0, 3);
+    let mut information = information(50);
+    information.positions[7] = DMat3::ZERO;
+    information.others.log_scales[7] = [0.0; 3];
+    let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
+    let prior = Prior { information: &information, noise, weight: 0.1 };
+    let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
+    let scene = GpuScene::upload(&gpu, &expected).unwrap();
+    let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
+    let on_device =
+        GpuPrior::new(&gpu, &prior, &optimiser.scene, gpu.upload("views", &seen).unwrap()).unwrap();
+    let view = &world().views[0];
+    let region = half(13);
+    let selection = Selection { region: Some(&region), tiles: None, layers: None };
+    let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
+    let curvature = Curvature::new(&prior, Damping::new(&information), &seen, region.count());
+    let mut adam = Adam::new(expected.len(), expected.sh_degree());
+    let rates = LearningRates::with_means(1e-3);
+    let (mut limited, mut free) = (0, 0);
+    for step in 1..=5_u32 {
+        let gradient = blob(50, [0.0; 3], 1e-6, 10 + u64::from(step));
+        let touched: Vec<bool> = (0..50).map(|i| i % (step as usize + 1) != 0).collect();
+        let before = expected.clone();
+        adam.step_naturally(&mut expected, &gradient, (0.3, &rates), curvature, &touched);
+        for (before, now) in before.opacity_logits.iter().zip(&expected.opacity_logits) {
+            let change = (before - now).abs();
+            limited += u32::from(change > 0.99 * LONGEST * rates.opacities);
+            free += u32::from(change > 0.0 && change < 0.9 * LONGEST * rates.opacities);
+        }
+        write_step(&gpu, &optimiser, &gradient, (&touched, adam.steps()), step);
+        on_device.prepare(&gpu, (0.3, &rates), step, 0);
+        let mut commands = gpu.commands();
+        on_device.step(&mut commands, &target, &optimiser);
+        gpu.submit(commands).unwrap();
+    }
+    println!("{limited} steps were limited, {free} were not");
+    let found = optimiser.download().unwrap();
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-5 * (1.0 + b.abs()));
+    assert!(close(found.means.as_flattened(), expected.means.as_flattened()));
+    assert!(close(found.quats.as_flattened(), expected.quats.as_flattened()));
+    assert!(close(found.log_scales.as_flattened(), expected.log_scales.as_flattened()));
+    assert!(close(&found.opacity_logits, &expected.opacity_logits));
+    assert!(close(found.sh.as_flattened(), expected.sh.as_flattened()));
+}
+
+/// The gradient of a step, of which `touched` Gaussians were drawn, as the rasterizer would leave it.
+fn write_step(
+    gpu: &Gpu,
+    optimiser: &Optimiser,
+    gradient: &Gaussians,
+    (touched, steps): (&[bool], &[u32]),
+    stamp: u32,
+) {
+    let rows: Vec<_> = (0..50).map(|i| ffgs_rasterizer_gpu::Geometry::of(gradient, i)).collect();
+    gpu.write(&optimiser.gradients.scene.geometry, &rows);
+    gpu.write(&optimiser.gradients.scene.sh, &gradient.sh);
+    let row = |(&touched, &steps): (&bool, &u32)| Ledger {
+        stamp: if touched { stamp } else { 0 },
+        steps,
+        ..Ledger::default()
+    };
+    let ledger: Vec<Ledger> = touched.iter().zip(steps).map(row).collect();
+    gpu.write(&optimiser.gradients.ledger, &ledger);
 }
 
 /// Moments after a step and a round of density control, with and without a reset of the opacities.

@@ -202,6 +202,13 @@ impl Adam {
         shared.column(&mut p.opacity_logits, &g.opacity_logits, moments, &[rates.opacities]);
     }
 
+    /// First moments, and the factor that corrects each after one more step of the `touched` Gaussians, which are counted.
+    pub(crate) fn first_after(&mut self, touched: &[bool]) -> (&mut Gaussians, impl Fn(usize) -> f32) {
+        self.steps.iter_mut().zip(touched).for_each(|(steps, touched)| *steps += u32::from(*touched));
+        let Self { first, steps, corrections, .. } = self;
+        (first, |i: usize| corrections[(steps[i] as usize).min(CORRECTED_STEPS)].first)
+    }
+
     /// Keeps the moments of the Gaussians at `indices`, in that order.
     pub fn select(&mut self, indices: &[usize]) {
         self.first = self.first.select(indices);

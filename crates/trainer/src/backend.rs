@@ -58,6 +58,15 @@ pub trait Training {
     /// When the device fails.
     fn step(&mut self, rates: &LearningRates) -> Result<(), Self::Error>;
 
+    /// One step of `share` of the way to where the prior expects the minimum ([`LayerTask::prior`]), in which no value changes by
+    /// more than [`LONGEST`](crate::constants::LONGEST) of its rate. Without a prior a step of Adam.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn step_naturally(&mut self, _share: f32, rates: &LearningRates) -> Result<(), Self::Error> {
+        self.step(rates)
+    }
+
     /// How far the training has come after `done` steps of `all`; `None` where a look at the device would cost more than
     /// it is worth.
     ///

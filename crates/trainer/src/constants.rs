@@ -7,6 +7,8 @@ pub const BETA2: f32 = 0.999;
 pub const EPSILON: f32 = 1e-15;
 /// Beyond this many steps both bias corrections are 1 within f32 rounding: 0.999^16384 = 7.6e-8.
 pub const CORRECTED_STEPS: usize = 16_384;
+/// Longest natural step, in steps that Adam takes where all derivatives agree.
+pub const LONGEST: f32 = 3.0;
 /// Half width of SSIM's window (px).
 pub const RADIUS: usize = 5;
 /// Stabilises the means of SSIM, for a dynamic range of 1 (Wang et al. 2004).

@@ -22,6 +22,11 @@ use std::sync::Arc;
 pub struct DynamicLaneConfig {
     /// Steps per frame, one view each (N_dyn).
     pub iterations: usize,
+    /// Share of the way to the minimum that a step goes along the natural gradient, at the first step; 0 = steps of Adam, of
+    /// which about four times as many are needed. The rates below then limit each step to three times their values.
+    pub natural_step: f32,
+    /// The share at the last step.
+    pub natural_step_end: f32,
     /// Position rate at the first step, in pixels: times [`pixel_length`].
     pub position_rate_px: f32,
     /// Position rate at the last step, likewise.
@@ -51,7 +56,9 @@ pub struct DynamicLaneConfig {
 impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
-            iterations: 300,
+            iterations: 75,
+            natural_step: 1.0,
+            natural_step_end: 0.03,
             position_rate_px: 0.2,
             position_rate_end_px: 0.006,
             quat_rate: 1e-3,
@@ -75,11 +82,19 @@ impl DynamicLaneConfig {
         if first == 0 {
             return [Self { iterations: 0, ..*self }, *self];
         }
-        let between = self.position_rate_px(first);
+        let (rate, share) = (self.position_rate_px(first), self.natural_step(first));
+        let rest = self.iterations - first;
         [
-            Self { iterations: first, position_rate_end_px: between, ..*self },
-            Self { iterations: self.iterations - first, position_rate_px: between, ..*self },
+            Self { iterations: first, position_rate_end_px: rate, natural_step_end: share, ..*self },
+            Self { iterations: rest, position_rate_px: rate, natural_step: share, ..*self },
         ]
+    }
+
+    fn natural_step(&self, iteration: usize) -> f32 {
+        if self.natural_step == 0.0 {
+            return 0.0;
+        }
+        decay(self.natural_step, self.natural_step_end, iteration, self.iterations)
     }
 
     fn position_rate_px(&self, iteration: usize) -> f32 {
@@ -143,6 +158,7 @@ pub fn train_dynamic<B: TrainBackend>(
     let schedule = Schedule {
         iterations: config.iterations,
         rates: &|iteration| config.rates(iteration, pixel),
+        natural: &|iteration| config.natural_step(iteration),
         ..Schedule::default()
     };
     let trained = train_layer(backend, task, &schedule, seed, report);
@@ -163,13 +179,15 @@ mod tests {
 
     #[test]
     fn two_parts_have_the_rates_of_the_whole() {
-        let whole = DynamicLaneConfig::default();
+        let whole = DynamicLaneConfig { iterations: 300, ..DynamicLaneConfig::default() };
         let [first, second] = whole.cut(270);
         assert_eq!([first.iterations, second.iterations], [270, 30]);
         for step in [0, 100, 269, 270, 299] {
             let expected = whole.rates(step, 2.0).means;
-            let part = if step < 270 { first.rates(step, 2.0) } else { second.rates(step - 270, 2.0) };
+            let (part, at) = if step < 270 { (first, step) } else { (second, step - 270) };
+            let (part, natural) = (part.rates(at, 2.0), part.natural_step(at));
             assert!((part.means / expected - 1.0).abs() < 1e-4, "step {step}: {} {expected}", part.means);
+            assert!((natural / whole.natural_step(step) - 1.0).abs() < 1e-4, "step {step}: {natural}");
         }
         assert_eq!(whole.cut(0)[1], whole, "undivided, to the last bit");
     }

@@ -140,6 +140,7 @@ pub fn train_first_frame<B: TrainBackend>(
         // What stands beside a camera veils its photograph, and is thereby kept away from the cameras (docs/adr/0064).
         at_centres: true,
         rates: &|iteration| rates(config, iteration, extent),
+        ..Schedule::default()
     };
     schedule.run(
         &mut training,

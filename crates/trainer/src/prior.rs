@@ -5,6 +5,7 @@
 
 use crate::gain::PixelNoise;
 use crate::loss::SSIM_WEIGHT;
+use crate::natural::{Curvature, Damping};
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::{Gradients, Information};
 use glam::{DVec3, Quat};
@@ -210,6 +211,15 @@ impl Prior<'_> {
         Self { noise: PixelNoise { correlated, ..self.noise }, ..self }
     }
 
+    /// What one nat of information is in the loss of `pixels` pixels, the mean absolute error over their three channels: at an
+    /// error of one sigma its derivative `l1_share / (3 pixels)` stands for `1 / (sigma correlated)` in units of the log
+    /// likelihood.
+    pub(crate) fn unit(&self, pixels: usize) -> f32 {
+        let PixelNoise { sigma, correlated } = self.noise;
+        let l1_share = 1.0 - SSIM_WEIGHT as f32;
+        l1_share * (sigma * correlated) as f32 / (3 * pixels.max(1)) as f32
+    }
+
     /// The derivative that a step adds to that of a loss of `pixels` pixels, (N) shaped like the Gaussians: at `now`, when
     /// `views` views see each Gaussian, for those that are `touched`. What every backend must agree with.
     pub fn pull(
@@ -235,21 +245,22 @@ pub(crate) struct Penalty<'a> {
     start: Gaussians,
     /// Views that see each Gaussian.
     views: Vec<u32>,
+    damping: Damping,
 }
 
 impl<'a> Penalty<'a> {
     pub(crate) fn new(prior: Prior<'a>, start: &Gaussians, views: Vec<u32>) -> Self {
-        Self { prior, start: start.clone(), views }
+        Self { prior, start: start.clone(), views, damping: Damping::new(prior.information) }
     }
 
-    /// Adds the derivative at `now` to that of a loss, the mean absolute error of `pixels` pixels by three channels.
-    ///
-    /// At an error of one sigma its derivative `l1_share / (3 pixels)` stands for `1 / (sigma correlated)` in units of the
-    /// log likelihood.
+    /// Of a loss over `pixels` pixels.
+    pub(crate) fn curvature(&self, pixels: usize) -> Curvature<'_> {
+        Curvature::new(&self.prior, self.damping, &self.views, pixels)
+    }
+
+    /// Adds the derivative at `now` to that of a loss over `pixels` pixels.
     pub(crate) fn add(&self, now: &Gaussians, pixels: usize, out: &mut Gradients) {
-        let PixelNoise { sigma, correlated } = self.prior.noise;
-        let l1_share = 1.0 - SSIM_WEIGHT as f32;
-        let unit = self.prior.weight * l1_share * (sigma * correlated) as f32 / (3 * pixels.max(1)) as f32;
+        let unit = self.prior.weight * self.prior.unit(pixels);
         let share = |i: usize| unit / self.views[i].max(1) as f32;
         let (start, known, g, touched) =
             (&self.start, &self.prior.information.others, &mut out.gaussians, &out.touched);
@@ -282,15 +293,17 @@ impl<'a> Penalty<'a> {
 
 /// Derivative by the quaternion of `1/2 sum information turn^2`.
 fn turn_pull(start: [f32; 4], now: [f32; 4], information: [f32; 4]) -> [f32; 4] {
-    let [w, x, y, z] = start;
-    let scale = 2.0 / (w * w + x * x + y * y + z * z).max(f32::MIN_POSITIVE);
-    let turn = turn_between(start, now);
-    // Rows: turns about x, y, z; columns: changes of w, x, y, z.
-    let rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]];
+    let scale = 2.0 / start.iter().map(|v| v * v).sum::<f32>().max(f32::MIN_POSITIVE);
+    let (turn, rows) = (turn_between(start, now), turn_rows(start));
     let by = |column: usize| {
         (0..3).map(|l| information[l + 1] * turn[l + 1] * scale * rows[l][column]).sum::<f32>()
     };
     [0, 1, 2, 3].map(by)
+}
+
+/// Twice the changes of w, x, y, z with turns about the body's x, y and z.
+pub(crate) fn turn_rows([w, x, y, z]: [f32; 4]) -> [[f32; 4]; 3] {
+    [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
 }
 
 #[cfg(test)]

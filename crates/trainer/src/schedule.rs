@@ -51,6 +51,8 @@ pub struct Schedule<'a> {
     pub at_centres: bool,
     /// Step sizes at a step.
     pub rates: &'a dyn Fn(usize) -> LearningRates,
+    /// Share of the natural step at a step; 0 = a step of Adam.
+    pub natural: &'a dyn Fn(usize) -> f32,
 }
 
 impl Default for Schedule<'_> {
@@ -62,6 +64,7 @@ impl Default for Schedule<'_> {
             dropout: 0.0,
             at_centres: false,
             rates: &|_| LearningRates::default(),
+            natural: &|_| 0.0,
         }
     }
 }
@@ -92,7 +95,12 @@ impl Schedule<'_> {
             let Some(view) = views.draw() else { break };
             training.forward(view, self.options(iteration))?;
             training.backward()?;
-            training.step(&(self.rates)(iteration))?;
+            let (share, rates) = ((self.natural)(iteration), (self.rates)(iteration));
+            if share > 0.0 {
+                training.step_naturally(share, &rates)?
+            } else {
+                training.step(&rates)?
+            }
             after(iteration + 1, training)?;
             training.progress(iteration + 1, self.iterations)?.into_iter().for_each(&mut *report);
         }

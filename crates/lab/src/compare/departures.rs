@@ -7,7 +7,8 @@ use serde_json::Value;
 pub(super) const WITHOUT: &str = "without:";
 
 /// Settings that mean nothing without each other.
-const TOGETHER: [&[&str]; 4] = [
+const TOGETHER: [&[&str]; 5] = [
+    &["dynamic.iterations", "dynamic.natural_step"],
     &["marking.slack", "marking.slack_share"],
     &["triangulation.collinear_degrees", "triangulation.collinear_min_sigma"],
     &["triangulation.depth_weighting", "triangulation.refine"],
@@ -96,7 +97,7 @@ mod tests {
 
     #[test]
     fn what_is_no_departure_is_refused() {
-        assert!(without("dynamic.iterations").unwrap_err().contains("is as printed"));
+        assert!(without("dynamic.quat_rate").unwrap_err().contains("is as printed"));
         assert!(without("dynamic.iterashuns").unwrap_err().contains("no setting dynamic.iterashuns"));
     }
 }

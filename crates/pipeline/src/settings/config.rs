@@ -117,6 +117,8 @@ impl Config {
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
             resolution: ResolutionConfig { splat_px: 0.0, ..defaults.resolution },
             dynamic: DynamicLaneConfig {
+                iterations: 300,
+                natural_step: 0.0,
                 loss_dilation: 0,
                 outside_alpha: 0.0,
                 prior_weight: 0.0,

@@ -80,7 +80,7 @@ fn tracks() -> TrackSet {
     out
 }
 
-/// Steps of a layer of which something is known, one view, uploads included.
+/// Natural steps of a layer of which something is known, one view, uploads included.
 fn prior(device: &SceneDevice, layer: &Gaussians, view: &TrainingView, rows: &mut Rows) -> Result<()> {
     let mut information = Information::none(layer.len(), layer.sh_degree());
     information.others.log_scales.fill([1.0; 3]);
@@ -96,7 +96,7 @@ fn prior(device: &SceneDevice, layer: &Gaussians, view: &TrainingView, rows: &mu
         for _ in 0..STEPS {
             training.forward(0, RenderOptions::default())?;
             training.backward()?;
-            training.step(&LearningRates::with_means(1e-5))?;
+            training.step_naturally(0.3, &LearningRates::with_means(1e-5))?;
         }
         Ok(training.download()?)
     })?;

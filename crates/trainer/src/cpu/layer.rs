@@ -8,7 +8,7 @@ use crate::density_control::GradientSums;
 use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
-use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage};
+use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -62,6 +62,30 @@ impl<'a> CpuLayer<'a> {
             gradients: Gradients::default(),
         }
     }
+
+    fn descend(&mut self, natural: Option<f32>, rates: &LearningRates) -> Result<(), Infallible> {
+        let touched = &mut self.gradients.touched;
+        touched[..self.fixed].fill(false);
+        let gradient = &self.gradients.gaussians;
+        match (natural, &self.penalty) {
+            (Some(share), Some(penalty)) => {
+                let TaskView { view, region, .. } = &self.views[self.at];
+                let curvature = penalty.curvature(pixels(view, region));
+                self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
+            }
+            _ => self.adam.step(self.layer, gradient, rates, Update::Touched(touched)),
+        }
+        self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
+        if let Some(sums) = &mut self.sums {
+            sums.add(&self.gradients.mean2d_norm, touched);
+        }
+        Ok(())
+    }
+}
+
+/// Pixels of a loss.
+fn pixels(view: &TrainingView, region: &Option<Mask>) -> usize {
+    region.as_ref().map_or(view.camera.size().pixels(), Mask::count)
 }
 
 impl Training for CpuLayer<'_> {
@@ -90,21 +114,17 @@ impl Training for CpuLayer<'_> {
         let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
         self.rasterizer.backward(self.layer, &frame, &mut self.tape, &upstream, &mut self.gradients);
         if let Some(penalty) = &self.penalty {
-            let pixels = region.as_ref().map_or(view.camera.size().pixels(), Mask::count);
-            penalty.add(self.layer, pixels, &mut self.gradients);
+            penalty.add(self.layer, pixels(view, region), &mut self.gradients);
         }
         Ok(())
     }
 
     fn step(&mut self, rates: &LearningRates) -> Result<(), Infallible> {
-        let touched = &mut self.gradients.touched;
-        touched[..self.fixed].fill(false);
-        self.adam.step(self.layer, &self.gradients.gaussians, rates, Update::Touched(touched));
-        self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
-        if let Some(sums) = &mut self.sums {
-            sums.add(&self.gradients.mean2d_norm, touched);
-        }
-        Ok(())
+        self.descend(None, rates)
+    }
+
+    fn step_naturally(&mut self, share: f32, rates: &LearningRates) -> Result<(), Infallible> {
+        self.descend(Some(share), rates)
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {

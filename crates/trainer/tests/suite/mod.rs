@@ -7,10 +7,10 @@ use ffgs_core::{
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_trainer::{
-    Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, LayerTask,
-    LayerTraining, LearningRates, LossRegion, PhotometricLoss, Schedule, SkyView, StaticColours, StaticLane,
-    StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend, pixel_length, train_dynamic,
-    train_first_frame, train_sky,
+    Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, Gain,
+    LayerTask, LayerTraining, LearningRates, LossRegion, PhotometricLoss, Prior, Schedule, SkyView,
+    StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend,
+    information_gain, pixel_length, train_dynamic, train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
 use std::sync::Arc;
@@ -218,6 +218,32 @@ pub(crate) fn the_dynamic_lane_brings_a_disturbed_layer_back<B: TrainBackend>(ba
     let after = world.error(&world.fixed, &layer, &world.sky, true);
     println!("{before:.2e} -> {after:.2e}");
     assert!(after < 0.5 * before, "{before:.2e} -> {after:.2e}");
+}
+
+/// Of a layer that is off its place and in wrong colours, steps along the natural gradient mend both. As many of Adam show the
+/// photographs as well, but with colours and shapes alone: the Gaussians end farther from their places than they began.
+pub(crate) fn natural_steps_lead_to_the_true_places<B: TrainBackend>(backend: &B) {
+    let world = world();
+    let layers = [&world.fixed, &world.disturbed()];
+    let Gain { information, noise } = information_gain(&layers, &world.sky, &world.views);
+    let prior = Some(Prior { information: &information, noise, weight: 0.0 });
+    let around = Surroundings { prior, ..world.around() };
+    let judged = |layer: &Gaussians| {
+        let off =
+            layer.positions().into_iter().zip(world.moving.positions()).map(|(a, b)| a.distance_squared(b));
+        let off = (off.sum::<f64>() / layer.len() as f64).sqrt();
+        (world.error(&world.fixed, layer, &world.sky, true), off)
+    };
+    let after = |natural_step: f32| {
+        let config = DynamicLaneConfig { iterations: 100, natural_step, ..DynamicLaneConfig::default() };
+        let mut layer = world.disturbed();
+        train_dynamic(backend, &config, &world.views, around, &mut layer, SEED, &mut |_| {}).unwrap();
+        judged(&layer)
+    };
+    let (before, adam, natural) = (judged(&world.disturbed()), after(0.0), after(1.0));
+    println!("(error, m off) {before:?}, Adam {adam:?}, natural {natural:?}");
+    assert!(natural.0 < 0.25 * before.0 && natural.1 < 0.9 * before.1, "{before:?}, natural {natural:?}");
+    assert!(adam.0 < 0.25 * before.0 && adam.1 > before.1, "{before:?}, Adam {adam:?}");
 }
 
 pub(crate) fn both_methods_of_the_static_lane_restore_colours<B: TrainBackend>(backend: &B) {

@@ -78,10 +78,10 @@ pub(crate) struct PlanArgs {
     /// Iterations of the dynamic layer per frame
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<usize>,
-    /// Iterations of the dynamic layer per frame of the scout [default: a quarter of those of a frame]
+    /// Iterations of the dynamic layer per frame of the scout [default: half of those of a frame]
     #[arg(long, value_name = "N")]
     pub(crate) scout_iterations: Option<usize>,
-    /// Iterations that finetune a key frame [default: three times those of a frame]
+    /// Iterations that finetune a key frame [default: twelve times those of a frame]
     #[arg(long, value_name = "N")]
     pub(crate) key_iterations: Option<usize>,
 }

@@ -55,8 +55,8 @@ impl Plan {
             capture: std::fs::canonicalize(&args.capture)?,
             frames,
             length: args.length as usize,
-            scout_iterations: args.scout_iterations.unwrap_or(config.dynamic.iterations / 4),
-            key_iterations: args.key_iterations.unwrap_or(3 * config.dynamic.iterations),
+            scout_iterations: args.scout_iterations.unwrap_or(config.dynamic.iterations / 2),
+            key_iterations: args.key_iterations.unwrap_or(12 * config.dynamic.iterations),
             train_views: args.train_views.clone(),
             config,
         })
