@@ -10,6 +10,8 @@ const { chromium } = createRequire(join(cwd(), 'package.json'))('playwright-core
 const [executablePath, program, run, capture, camera, picture, shots] = process.argv.slice(2);
 /** Least agreement (dB) of the page with our own renderer. */
 const LEAST_PSNR = 30;
+const ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'];
+const WEBGPU = ['--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader'];
 const served = [];
 
 function check(condition, text) {
@@ -40,6 +42,36 @@ async function open(browser, url, size = { width: 640, height: 360 }) {
     });
     await page.goto(url, { waitUntil: 'commit' });
     return page;
+}
+
+/** Compares the page at an address with our own renderer; whether it draws by WebGPU. */
+async function compare(browser, url) {
+    const reference = await readFile(picture);
+    const page = await open(browser, url, { width: reference.readUInt32BE(16), height: reference.readUInt32BE(20) });
+    await ready(page);
+    await page.addStyleTag({ content: '#bar, #legend { display: none !important }' });
+    await page.evaluate((name) => globalThis.player.choose(String(globalThis.player.capture.views.findIndex((v) => v.name === name))), camera);
+    await page.waitForFunction(() => document.body.dataset.sky === 'ready' && document.body.dataset.quality === 'full');
+    // Splats are sorted by a worker, some pictures later.
+    await page.waitForTimeout(1500);
+    const own = (await page.screenshot()).toString('base64');
+    const psnr = await page.evaluate(async (pictures) => {
+        const pixels = async (text) => {
+            const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+            const image = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
+            const context = new OffscreenCanvas(image.width, image.height).getContext('2d');
+            context.drawImage(image, 0, 0);
+            return context.getImageData(0, 0, image.width, image.height).data;
+        };
+        const [a, b] = await Promise.all(pictures.map(pixels));
+        let sum = 0;
+        for (let i = 0; i < a.length; i++) sum += (a[i] - b[i]) ** 2;
+        return 10 * Math.log10(255 ** 2 / (sum / (a.length * 0.75)));
+    }, [reference.toString('base64'), own]);
+    console.log(`page against renderer: ${psnr.toFixed(2)} dB`);
+    check(psnr >= LEAST_PSNR, `the page differs from our renderer: ${psnr.toFixed(2)} dB`);
+    if (page.failure) throw page.failure;
+    return page.evaluate(() => globalThis.player.app.graphicsDevice.isWebGPU);
 }
 
 const tests = {
@@ -106,31 +138,67 @@ const tests = {
     },
 
     async 'draws what our renderer draws'(browser, url) {
-        const reference = (await readFile(picture)).toString('base64');
-        const size = { width: (await readFile(picture)).readUInt32BE(16), height: (await readFile(picture)).readUInt32BE(20) };
-        const page = await open(browser, `${url}#frame=1`, size);
+        await compare(browser, `${url}#frame=1`);
+    },
+
+    async 'draws the same on WebGPU'(_, url) {
+        const browser = await chromium.launch({ executablePath, args: [...ARGUMENTS, ...WEBGPU] });
+        try {
+            const page = await open(browser, url);
+            const has = await page.evaluate(async () => Boolean(await globalThis.navigator.gpu?.requestAdapter()));
+            if (has) check(await compare(browser, `${url}#frame=1&device=webgpu`), 'the page did not take WebGPU');
+            else console.log('skipped: this Chromium has no WebGPU in software');
+        } finally {
+            await browser.close();
+        }
+    },
+
+    async 'draws less while pictures are slow, and everything at rest'(browser, url) {
+        const page = await open(browser, url);
         await ready(page);
-        await page.addStyleTag({ content: '#bar, #legend { display: none !important }' });
-        await page.evaluate((name) => globalThis.player.choose(String(globalThis.player.capture.views.findIndex((v) => v.name === name))), camera);
-        await page.waitForFunction(() => document.body.dataset.sky === 'ready');
-        // Splats are sorted by a worker, some pictures later.
-        await page.waitForTimeout(1500);
-        const own = (await page.screenshot()).toString('base64');
-        const psnr = await page.evaluate(async (pictures) => {
-            const pixels = async (text) => {
-                const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-                const image = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
-                const context = new OffscreenCanvas(image.width, image.height).getContext('2d');
-                context.drawImage(image, 0, 0);
-                return context.getImageData(0, 0, image.width, image.height).data;
+        // Pictures become slow on any machine.
+        await page.evaluate(() => globalThis.player.app.on('prerender', () => {
+            for (const end = performance.now() + 120; performance.now() < end;);
+        }));
+        await page.keyboard.press('b');
+        await page.waitForFunction(() => document.body.dataset.quality === 'reduced');
+        await page.waitForFunction(() => globalThis.player.picture.splats < globalThis.player.picture.seen);
+        await page.waitForFunction(() => document.getElementById('canvas').width < innerWidth);
+        await shot(page, 'reduced');
+        const whole = () => {
+            const { picture, stream } = globalThis.player;
+            return document.body.dataset.quality === 'full' && picture.splats === stream.state.still.count + stream.state.moving.count && document.getElementById('canvas').width === innerWidth;
+        };
+        await page.keyboard.press('b');
+        await page.waitForFunction(whole);
+        await page.selectOption('#quality', 'full');
+        await page.keyboard.press('b');
+        await page.waitForTimeout(2500);
+        check(await page.evaluate(whole), 'less is drawn although everything was asked for');
+        if (page.failure) throw page.failure;
+    },
+
+    async 'keeps everything where pictures are fast'(browser, url) {
+        const page = await open(browser, url);
+        const limits = await page.evaluate(async () => {
+            const { Quality } = await import('./quality.js');
+            const play = (quality, from, pictures, time) => {
+                for (let now = from, i = 0; i < pictures; i++, now += time) {
+                    quality.drawn(now, time, Math.min(quality.budget, 1e5), 1e5);
+                    quality.tick(now, true);
+                }
+                return quality.budget;
             };
-            const [a, b] = await Promise.all(pictures.map(pixels));
-            let sum = 0;
-            for (let i = 0; i < a.length; i++) sum += (a[i] - b[i]) ** 2;
-            return 10 * Math.log10(255 ** 2 / (sum / (a.length * 0.75)));
-        }, [reference, own]);
-        console.log(`page against renderer: ${psnr.toFixed(2)} dB`);
-        check(psnr >= LEAST_PSNR, `the page differs from our renderer: ${psnr.toFixed(2)} dB`);
+            const [fast, slow, slower] = [new Quality(), new Quality(), new Quality()];
+            const out = { fast: play(fast, 0, 200, 1000 / 30), slow: play(slow, 0, 60, 80), slower: play(slower, 0, 10, 900) };
+            slow.tick(1e5, false);
+            slow.tick(1e5 + 1000, false);
+            return { ...out, rest: slow.budget, again: play(slow, 2e5, 2, 80) };
+        });
+        check(limits.fast === Infinity && limits.rest === Infinity, `everything is not drawn: ${JSON.stringify(limits)}`);
+        check(limits.slow < 1e5 && limits.slower < 1e5, `slow pictures are kept: ${JSON.stringify(limits)}`);
+        // The next motion starts with what the last has found.
+        check(limits.again < 1e5, `the limit is forgotten: ${JSON.stringify(limits)}`);
         if (page.failure) throw page.failure;
     },
 
@@ -197,7 +265,7 @@ const tests = {
     },
 };
 
-const browser = await chromium.launch({ executablePath, args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+const browser = await chromium.launch({ executablePath, args: ARGUMENTS });
 let failed = 0;
 try {
     const url = await serve(run);

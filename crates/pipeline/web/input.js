@@ -18,7 +18,7 @@ export function listen(player) {
     canvas.addEventListener('pointermove', (e) => {
         const last = pointers.get(e.pointerId);
         if (!last) return;
-        player.wake();
+        player.touch();
         const [dx, dy] = [e.clientX - last.clientX, e.clientY - last.clientY];
         const others = [...pointers.values()].filter((p) => p.pointerId !== e.pointerId);
         if (player.view()) player.choose('orbit');
@@ -41,7 +41,7 @@ export function listen(player) {
     });
     canvas.addEventListener('wheel', (e) => {
         e.preventDefault();
-        player.wake();
+        player.touch();
         player.orbit.distance *= Math.exp(e.deltaY * 0.001);
     }, { passive: false });
     $('time').addEventListener('input', () => player.seek(Number($('time').value)));
@@ -52,11 +52,12 @@ export function listen(player) {
     $('record').addEventListener('click', () => toggleRecording(player));
     $('overlay').addEventListener('change', () => player.lay($('overlay').value));
     $('camera').addEventListener('change', () => player.choose($('camera').value));
+    $('quality').addEventListener('change', () => player.setQuality($('quality').value));
     $('compare').addEventListener('change', () => player.update());
     for (const box of document.querySelectorAll('.layer')) {
         box.addEventListener('change', () => {
-            const entity = player.layers[box.dataset.layer]?.entity ?? player.dome?.entity;
-            if (entity) entity.enabled = box.checked;
+            if (box.dataset.layer === 'sky') player.dome.entity.enabled = box.checked;
+            else player.picture.hide(box.dataset.layer, !box.checked);
             player.wake();
         });
     }
@@ -130,10 +131,10 @@ function keys(player) {
     };
     const fly = { w: [0, 0, -1], s: [0, 0, 1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, -1, 0], e: [0, 1, 0] };
     addEventListener('keydown', (e) => {
-        player.wake();
         if (isOwnKey(e) || $('helptext').open || e.ctrlKey || e.metaKey) return;
         if (player.mode === 'fly' && fly[e.key]) {
             player.camera.translateLocal(...fly[e.key].map((v) => v * player.orbit.distance * 0.03));
+            player.touch();
         } else if (actions[e.key]) {
             e.preventDefault();
             actions[e.key]();

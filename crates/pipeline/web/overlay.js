@@ -29,7 +29,7 @@ function uncertainty(state) {
 }
 
 function motion(state, manifest) {
-    const moved = state.moving.moved;
+    const moved = state.moved;
     if (!moved) return { legend: 'this is a key frame, which says nothing of motion: step to the next' };
     const step = manifest.dynamic.position * manifest.frames_per_second;
     const { up, forward } = manifest;

@@ -1,18 +1,15 @@
 // The page: a time line over a 4D stream, drawn by the PlayCanvas engine.
 
 import * as pc from './playcanvas.mjs';
+import { opened, reopen } from './frames.js';
 import { listen } from './input.js';
-import { LayerView } from './layer.js';
 import { overlayOf } from './overlay.js';
+import { Picture } from './picture.js';
+import { Quality } from './quality.js';
 import { drawSky } from './sky.js';
-import { Stream, valuesOf } from './stream.js';
 
-/** Share of its distance that the camera may move before colours are computed again. */
-const RECOLOUR = 0.02;
 /** Radians per second around what moves, while time stands still. */
 const BULLET_TURN = 0.7;
-/** Seconds for which pictures are drawn after a change: splats are sorted beside the drawing. */
-const AWAKE = 1.5;
 /** Milliseconds between two looks for new frames of a run that goes on. */
 const LOOK_EVERY = 3000;
 const $ = (id) => document.getElementById(id);
@@ -24,13 +21,6 @@ function say(text, isError = false) {
     document.body.dataset.state = isError ? 'error' : text ? 'busy' : 'ready';
 }
 
-async function load(name) {
-    const answer = await fetch(name, { cache: 'no-store' }).catch(() => null);
-    if (!answer) throw new Error(`${name}: no answer. Is ffgs still running?`);
-    if (!answer.ok) throw new Error(`${name}: ${answer.status} ${answer.statusText}`);
-    return new Uint8Array(await answer.arrayBuffer());
-}
-
 async function loadJson(name) {
     const answer = await fetch(name, { cache: 'no-store' }).catch(() => null);
     return answer?.ok ? answer.json() : null;
@@ -38,9 +28,9 @@ async function loadJson(name) {
 
 /** The stream, as soon as there is one: a run that has just begun has none. */
 async function openStream() {
-    for (;;) {
+    for (let stream = opened; ; stream = reopen()) {
         try {
-            return await Stream.open(load);
+            return await stream;
         } catch (error) {
             if (!error.message.includes(': 404')) throw error;
             say('No frame is finished yet: this page goes on when there is one.');
@@ -66,19 +56,18 @@ class Player {
         this.camera = new pc.Entity('camera');
         this.camera.addComponent('camera', { clearColor: new pc.Color(0, 0, 0), nearClip: 0.05, farClip: 10000, fov: 60 });
         app.root.addChild(this.camera);
-        this.layers = { still: new LayerView(app, 'static', stream.manifest.static), moving: new LayerView(app, 'moving', stream.manifest.dynamic) };
+        this.picture = new Picture(app, stream.manifest);
+        this.quality = new Quality(drawsInSoftware(app.graphicsDevice));
+        this.pixelRatio = app.graphicsDevice.maxPixelRatio;
         this.overlay = 'none';
-        this.awake = AWAKE;
         app.autoRender = false;
+        // Splats are sorted beside the drawing: the engine says when there is something new to draw.
+        app.systems.gsplat.on('frame:request', () => { app.renderNextFrame = true; });
         this.bullet = false;
-        this.colouredFrom = null;
+        Object.assign(this, { drewAt: null, touched: false, pose: new pc.Mat4() });
         this.target = new pc.Vec3();
         this.mode = 'orbit';
         this.orbit = { yaw: 0.6, pitch: 0.5, distance: 10 };
-        app.scene.gsplat.antiAlias = stream.manifest.antialiased;
-        // Nothing is too small to be drawn: the reconstruction is of such splats.
-        Object.assign(app.scene.gsplat, { minPixelSize: 0, minContribution: 0, dataFormat: pc.GSPLATDATA_LARGE });
-        app.scene.exposure = 1;
         this.sky = null;
     }
 
@@ -110,40 +99,41 @@ class Player {
     }
 
     show(state) {
-        const { static: still, dynamic: moving } = this.stream.manifest;
-        this.layers.still.show(valuesOf(state.still, still), state.still.harmonics);
-        const values = valuesOf(state.moving, moving);
-        this.layers.moving.show(values, state.moving.harmonics);
-        this.middle = median(values) ?? this.middle ?? new pc.Vec3();
+        this.middle = state.middle ? new pc.Vec3(state.middle) : this.middle ?? new pc.Vec3();
         if (this.shown < 0 || this.mode === 'follow') this.target.copy(this.middle);
-        this.colouredFrom = null;
+        this.picture.frame = state;
+        this.paint();
         if (state.sky && state.sky !== this.sky) this.showSky(state.sky);
+        const last = this.count - 1;
+        if (this.playing) this.stream.ahead(state.at < last ? state.at + 1 : 0);
     }
 
-    /** Something has changed: pictures are drawn for a while. */
+    /** Something has changed: a picture is drawn. */
     wake() {
-        this.awake = AWAKE;
+        this.app.renderNextFrame = true;
     }
 
-    /** Colours depend on where one looks from: computed for each frame, and again when the camera has moved. */
-    colour() {
-        const eye = this.camera.getPosition();
-        const near = this.colouredFrom && eye.distance(this.colouredFrom) <= RECOLOUR * eye.distance(this.target);
-        const state = this.stream.state;
-        if (near || this.busy || !state?.moving) return;
-        this.colouredFrom = eye.clone();
+    /** Someone turns the camera. */
+    touch() {
+        this.touched = true;
+        this.wake();
+    }
+
+    /** The moving layer in the colours of the overlay. */
+    paint() {
+        const state = this.picture.frame;
+        if (!state) return;
         const { legend, paint } = overlayOf(this.overlay, state, this.stream.manifest);
         $('legend').textContent = legend;
-        this.layers.still.colour(eye, null);
-        this.layers.moving.colour(eye, paint);
-        document.body.dataset.coloured = this.shown;
+        this.picture.paint = paint ?? null;
+        this.picture.stale = true;
+        this.wake();
     }
 
     lay(overlay) {
         this.overlay = overlay;
-        this.wake();
         $('overlay').value = overlay;
-        this.colouredFrom = null;
+        this.paint();
     }
 
     showSky(jpeg) {
@@ -168,22 +158,56 @@ class Player {
     }
 
     tick(seconds) {
-        if (this.playing && !this.busy) {
-            this.clock += seconds * this.stream.manifest.frames_per_second * Number($('speed').value);
-            if (this.clock >= 1) {
-                const next = this.at + Math.min(Math.floor(this.clock), this.count);
-                this.clock %= 1;
-                const over = next > this.count - 1;
-                if (over && !$('loop').checked) this.playing = false;
-                this.seek(over ? ($('loop').checked ? 0 : this.count - 1) : next);
-            }
-        }
+        this.advance(seconds);
         if (this.bullet) this.orbit.yaw += seconds * BULLET_TURN;
-        if (this.playing || this.bullet) this.wake();
         this.moveCamera();
-        this.colour();
-        this.awake -= seconds;
-        this.app.renderNextFrame = this.awake > 0;
+        const pose = this.camera.getWorldTransform();
+        const turned = !pose.equals(this.pose);
+        this.pose.copy(pose);
+        this.tickedAt = performance.now();
+        this.adapt(this.tickedAt, turned || this.playing || this.bullet || this.touched);
+        this.touched = false;
+        if (turned || this.playing || this.bullet) this.wake();
+    }
+
+    /** While playing, the frame that it is time for. */
+    advance(seconds) {
+        if (!this.playing || this.busy) return;
+        this.clock += seconds * this.stream.manifest.frames_per_second * Number($('speed').value);
+        if (this.clock < 1) return;
+        const next = this.at + Math.min(Math.floor(this.clock), this.count);
+        this.clock %= 1;
+        const over = next > this.count - 1;
+        if (over && !$('loop').checked) this.playing = false;
+        this.seek(over ? ($('loop').checked ? 0 : this.count - 1) : next);
+    }
+
+    /** Chooses how much is drawn, by how long the last picture took, and puts it into the engine. */
+    adapt(now, moves) {
+        const { quality, picture } = this;
+        if (this.drewAt !== null) quality.drawn(now, now - this.drewAt, picture.splats, picture.seen);
+        this.drewAt = null;
+        const rested = quality.rests;
+        quality.tick(now, moves);
+        if (quality.rests && !rested) picture.settle();
+        const [device, ratio] = [this.app.graphicsDevice, quality.pixels * this.pixelRatio];
+        if (device.maxPixelRatio !== ratio) {
+            device.maxPixelRatio = ratio;
+            this.wake();
+        }
+        if (picture.update(this.camera, this.target, quality)) this.wake();
+        Object.assign(document.body.dataset, { coloured: this.shown, quality: picture.coarse ? 'reduced' : 'full' });
+    }
+
+    /** A picture has been drawn; the time to the next tick is what it took. */
+    drawn() {
+        this.drewAt = this.tickedAt;
+    }
+
+    setQuality(setting) {
+        this.quality.choose(setting);
+        $('quality').value = setting;
+        this.wake();
     }
 
     /** Time stands still while the camera goes around. */
@@ -280,16 +304,6 @@ function expose(offsets) {
     $('photograph').style.filter = offsets ? 'url(#exposure)' : '';
 }
 
-/** Median position of the opaque half of a layer. */
-function median(values) {
-    if (!values.count) return null;
-    const axis = (k) => {
-        const column = Float32Array.from({ length: values.count }, (_, i) => values.position[3 * i + k]).sort();
-        return column[column.length >> 1];
-    };
-    return new pc.Vec3(axis(0), axis(1), axis(2));
-}
-
 /**
  * Draws splats as the reconstruction was trained: the engine measures them in half pixels, but widens them by 0.3 as others do in
  * whole ones; it cuts large ones off, and linearises the lens also far outside the picture.
@@ -307,6 +321,12 @@ function drawAsTrained(device) {
     chunks.set('gsplatCornerVS', changes.reduce(change, chunks.get('gsplatCornerVS')));
 }
 
+/** Whether the processor draws, by the name that the browser gives. */
+function drawsInSoftware(device) {
+    const { description, architecture } = device.gpuAdapter?.info ?? {};
+    return /swiftshader|llvmpipe|softpipe|software|basic render/i.test([device.unmaskedRenderer, description, architecture].join(' '));
+}
+
 async function makeApp() {
     const canvas = $('canvas');
     const types = [query.get('device') ?? 'webgl2', 'webgl2'];
@@ -318,6 +338,8 @@ async function makeApp() {
     options.resourceHandlers = [];
     const app = new pc.AppBase(canvas);
     app.init(options);
+    // Sorted beside the drawing on WebGPU too: what sorts in the graphics processor projects by a shader that cannot be changed.
+    app.scene.gsplat.renderer = pc.GSPLAT_RENDERER_RASTER_CPU_SORT;
     drawAsTrained(device);
     app.setCanvasFillMode(pc.FILLMODE_NONE);
     app.setCanvasResolution(pc.RESOLUTION_AUTO);
@@ -344,18 +366,21 @@ async function main() {
     }
     player.choose(query.get('view') ?? 'orbit');
     player.lay(query.get('overlay') ?? 'none');
+    player.setQuality(query.get('quality') ?? 'auto');
+    // The first picture counts as motion: where pictures are slow it is there the sooner.
+    player.touch();
     app.on('update', (seconds) => player.tick(seconds));
+    app.on('postrender', () => player.drawn());
     setInterval(() => grow(player), LOOK_EVERY);
 }
 
 /** Distance that holds most of what moves. */
 function spread(player) {
-    const rows = player.stream.state?.moving;
-    if (!rows?.count) return 10;
-    const step = player.stream.manifest.dynamic.position;
-    const away = Float32Array.from({ length: rows.count }, (_, i) => Math.hypot(
-        rows.position[3 * i] * step - player.target.x, rows.position[3 * i + 1] * step - player.target.y,
-        rows.position[3 * i + 2] * step - player.target.z)).sort();
+    const columns = player.stream.state?.moving;
+    if (!columns?.count) return 10;
+    const { center } = columns;
+    const { x, y, z } = player.target;
+    const away = Float32Array.from({ length: columns.count }, (_, i) => Math.hypot(center[4 * i] - x, center[4 * i + 1] - y, center[4 * i + 2] - z)).sort();
     return Math.max(1e-3, away[Math.floor(away.length * 0.9)]);
 }
 

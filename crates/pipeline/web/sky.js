@@ -41,6 +41,33 @@ function makeDome(player) {
                 float v = acos(clamp(dot(d, skyUp), -1.0, 1.0)) / 3.14159265359;
                 gl_FragColor = vec4(textureLod(skyMap, vec2(u, v), 0.0).rgb, 1.0);
             }`,
+        vertexWGSL: `
+            attribute vertex_position: vec3f;
+            uniform matrix_view: mat4x4f;
+            uniform matrix_projection: mat4x4f;
+            varying direction: vec3f;
+            @vertex fn vertexMain(input: VertexInput) -> VertexOutput {
+                var output: VertexOutput;
+                let view = mat3x3f(uniform.matrix_view[0].xyz, uniform.matrix_view[1].xyz, uniform.matrix_view[2].xyz);
+                let p = uniform.matrix_projection * vec4f(view * input.vertex_position * 100.0, 1.0);
+                output.direction = input.vertex_position;
+                output.position = p.xyww;
+                return output;
+            }`,
+        fragmentWGSL: `
+            varying direction: vec3f;
+            var skyMap: texture_2d<f32>;
+            var skyMapSampler: sampler;
+            uniform skyUp: vec3f;
+            uniform skyForward: vec3f;
+            @fragment fn fragmentMain(input: FragmentInput) -> FragmentOutput {
+                var output: FragmentOutput;
+                let d = normalize(input.direction);
+                let u = atan2(dot(d, cross(uniform.skyForward, uniform.skyUp)), dot(d, uniform.skyForward)) / 6.28318530718 + 0.5;
+                let v = acos(clamp(dot(d, uniform.skyUp), -1.0, 1.0)) / 3.14159265359;
+                output.color = vec4f(textureSampleLevel(skyMap, skyMapSampler, vec2f(u, v), 0.0).rgb, 1.0);
+                return output;
+            }`,
     });
     material.setParameter('skyUp', up);
     material.setParameter('skyForward', forward);

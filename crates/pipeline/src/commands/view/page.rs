@@ -6,12 +6,19 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Our own, by their names.
-pub(crate) const FILES: [(&str, &str); 9] = [
+pub(crate) const FILES: [(&str, &str); 16] = [
     ("index.html", include_str!("../../../web/index.html")),
     ("style.css", include_str!("../../../web/style.css")),
     ("player.js", include_str!("../../../web/player.js")),
     ("input.js", include_str!("../../../web/input.js")),
-    ("layer.js", include_str!("../../../web/layer.js")),
+    ("frames.js", include_str!("../../../web/frames.js")),
+    ("reader.js", include_str!("../../../web/reader.js")),
+    ("columns.js", include_str!("../../../web/columns.js")),
+    ("picture.js", include_str!("../../../web/picture.js")),
+    ("choice.js", include_str!("../../../web/choice.js")),
+    ("splats.js", include_str!("../../../web/splats.js")),
+    ("colours.js", include_str!("../../../web/colours.js")),
+    ("quality.js", include_str!("../../../web/quality.js")),
     ("overlay.js", include_str!("../../../web/overlay.js")),
     ("record.js", include_str!("../../../web/record.js")),
     ("sky.js", include_str!("../../../web/sky.js")),
