@@ -23,7 +23,7 @@ pub struct DynamicLaneConfig {
     /// Steps per frame, one view each (N_dyn).
     pub iterations: usize,
     /// Share of the way to the minimum that a step goes along the natural gradient, at the first step; 0 = steps of Adam, of
-    /// which about four times as many are needed. The rates below then limit each step to three times their values.
+    /// which about three times as many are needed. The rates below then limit each step to three times their values.
     pub natural_step: f32,
     /// The share at the last step.
     pub natural_step_end: f32,
@@ -56,8 +56,8 @@ pub struct DynamicLaneConfig {
 impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
-            iterations: 75,
-            natural_step: 1.0,
+            iterations: 100,
+            natural_step: 0.5,
             natural_step_end: 0.03,
             position_rate_px: 0.2,
             position_rate_end_px: 0.006,

@@ -240,7 +240,7 @@ pub(crate) fn natural_steps_lead_to_the_true_places<B: TrainBackend>(backend: &B
         train_dynamic(backend, &config, &world.views, around, &mut layer, SEED, &mut |_| {}).unwrap();
         judged(&layer)
     };
-    let (before, adam, natural) = (judged(&world.disturbed()), after(0.0), after(1.0));
+    let (before, adam, natural) = (judged(&world.disturbed()), after(0.0), after(0.5));
     println!("(error, m off) {before:?}, Adam {adam:?}, natural {natural:?}");
     assert!(natural.0 < 0.25 * before.0 && natural.1 < 0.9 * before.1, "{before:?}, natural {natural:?}");
     assert!(adam.0 < 0.25 * before.0 && adam.1 > before.1, "{before:?}, Adam {adam:?}");
