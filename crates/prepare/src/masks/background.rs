@@ -48,7 +48,8 @@ impl Background {
         let step = |i: usize, j: usize| samples.step(i, j);
         let expected = continued(&colour, size, &unsure, &step);
         for (&i, expected) in unsure.iter().zip(expected) {
-            (colour[i], spread[i]) = likeliest(&samples.at(i), expected);
+            let hidden = samples.free(i).next().is_none();
+            (colour[i], spread[i]) = likeliest(&samples.at(i), hidden, expected);
         }
         Self { size, colour, spread }
     }
@@ -146,13 +147,13 @@ fn mode(samples: &[[f32; 3]]) -> Group {
     Group::around(samples.iter().max_by(better).expect("there are samples"), samples)
 }
 
-/// Colour and spread by how many samples agree and by what the surroundings tell.
-fn likeliest(samples: &[[f32; 3]], expected: [f32; 3]) -> ([f32; 3], f32) {
+/// Colour and spread by how many samples agree and by what the surroundings tell; where masks hid the pixel in all samples, by the latter first.
+fn likeliest(samples: &[[f32; 3]], hidden: bool, expected: [f32; 3]) -> ([f32; 3], f32) {
     let groups = samples.iter().map(|best| Group::around(best, samples));
     let far = |g: &Group| farthest_channel(&g.colour, &expected);
     let worth = |g: &Group| SHARE_LEVELS * g.share - far(g);
     let best = groups.max_by(|a, b| worth(a).total_cmp(&worth(b))).expect("there are samples");
-    if best.share > LEAST_SHARE || far(&best) < NEAR {
+    if !hidden && best.share > LEAST_SHARE || far(&best) < NEAR {
         (best.colour, best.spread)
     } else {
         (expected, UNSEEN_SPREAD)
@@ -240,5 +241,16 @@ mod tests {
         let median = 200.0 / 90.0;
         assert!((learnt.colour[0][0] - 90.0 * median).abs() < 1.0);
         assert!((Background::learn(&images, &[]).colour[0][0] - 200.0).abs() < 1.0);
+    }
+
+    /// A pixel that masks hide in all samples shows what its surroundings continue, not the thing that stood there.
+    #[test]
+    fn what_was_always_hidden_is_continued() {
+        let hidden = |i: usize| (10..16).contains(&(i % 32));
+        let images: Vec<ImageRgb8> = (0..5).map(|_| picture(|i| if hidden(i) { 200 } else { 90 })).collect();
+        let mask = Mask::new(SIZE, (0..SIZE.pixels()).map(|i| u8::from(hidden(i))).collect()).unwrap();
+        let background = Background::learn(&images, &vec![mask; 5]);
+        let worst = background.colour.iter().map(|c| (c[0] - 90.0).abs()).fold(0.0, f32::max);
+        assert!(worst < 1.0, "{worst}");
     }
 }

@@ -1,6 +1,7 @@
 //! Foreground masks by difference from each fixed camera's background, made consistent between the views.
 
 mod background;
+mod colours;
 mod contact_sheet;
 mod continuation;
 mod cut;
@@ -13,6 +14,7 @@ use crate::hull::{Silhouette, common_region, hull};
 use crate::pictures::{read_mask, write_mask};
 use crate::{PrepareError, Progress};
 use background::Background;
+use colours::Colours;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
 use rayon::prelude::*;
@@ -24,8 +26,8 @@ use std::path::{Path, PathBuf};
 const SAMPLES: usize = 20;
 /// Fewer frames do not tell what stands still.
 const LEAST_FRAMES: usize = 4;
-/// Rounds: in the second one the background is learnt without what the first one found.
-const ROUNDS: usize = 2;
+/// Rounds: from the second one on, the background is learnt without what the one before found, and the colours of that count.
+const ROUNDS: usize = 3;
 /// Voxels that so many views see may add foreground to a mask.
 const VIEWS_THAT_ADD: u16 = 4;
 /// Smallest region (of the image) that is kept, and largest hole that is filled.
@@ -73,11 +75,11 @@ pub(crate) fn make(
     };
     for round in 0..rounds {
         let known = (round > 0).then_some(part.as_path());
-        let backgrounds: Vec<Option<Background>> =
+        let learnt: Vec<Option<Learnt>> =
             views.par_iter().map(|v| learn(capture, v, known, beside)).collect::<Result<_, _>>()?;
         step(fixed);
         for frame in 0..capture.frames() {
-            let masks = masks_of(capture, &views, &backgrounds, frame)?;
+            let masks = masks_of(capture, &views, &learnt, frame)?;
             views
                 .par_iter()
                 .zip(&masks)
@@ -119,20 +121,28 @@ fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
     Ok(out)
 }
 
+/// What is known of a fixed camera.
+struct Learnt {
+    background: Background,
+    /// Those of the masks that were made before, and of what is around them.
+    colours: Option<Colours>,
+}
+
 /// The background of a fixed camera: of the empty scene, or from frames spread over the capture, without what `known` masks
-/// cover, and from more of its footage.
+/// cover, and from more of its footage; and the colours of these masks.
 fn learn(
     capture: &Capture,
     view: &View,
     known: Option<&Path>,
     beside: &Beside,
-) -> Result<Option<Background>, PrepareError> {
+) -> Result<Option<Learnt>, PrepareError> {
     if !view.fixed {
         return Ok(None);
     }
     if beside.has_clean_plate(&view.name) {
         let empty = beside.clean_plates(&view.name)?;
-        return Ok((!empty.is_empty()).then(|| Background::learn(&empty, &[])));
+        let learnt = || Learnt { background: Background::learn(&empty, &[]), colours: None };
+        return Ok((!empty.is_empty()).then(learnt));
     }
     let frames = capture.frames();
     if frames < LEAST_FRAMES {
@@ -145,19 +155,21 @@ fn learn(
     for frame in chosen {
         images.push(capture.load_image(view.split, view.index, frame)?);
         if let Some(folder) = known {
-            let mask = read_mask(&folder.join(file_name(&view.name, frame)))?;
-            masks.push(mask.dilated(regions::radius(mask.size())));
+            masks.push(read_mask(&folder.join(file_name(&view.name, frame)))?);
         }
     }
     images.extend(beside.footage(&view.name)?);
-    Ok(Some(Background::learn(&images, &masks)))
+    let covered: Vec<Mask> = masks.iter().map(|m| m.dilated(regions::radius(m.size()))).collect();
+    let background = Background::learn(&images, &covered);
+    let colours = Colours::learn(&background, &images, &masks);
+    Ok(Some(Learnt { background, colours }))
 }
 
 /// The masks of one frame, in the order of the views.
 fn masks_of(
     capture: &Capture,
     views: &[View],
-    backgrounds: &[Option<Background>],
+    learnt: &[Option<Learnt>],
     frame: usize,
 ) -> Result<Vec<Mask>, PrepareError> {
     let load = |view: &View| -> Result<(Camera, ImageRgb8), PrepareError> {
@@ -169,8 +181,8 @@ fn masks_of(
     let loaded: Vec<_> = views.par_iter().map(load).collect::<Result<_, _>>()?;
     let raw: Vec<Option<Vec<f32>>> = loaded
         .par_iter()
-        .zip(backgrounds)
-        .map(|((_, image), background)| background.as_ref().map(|b| difference::raw(image, b)))
+        .zip(learnt)
+        .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background)))
         .collect();
     let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(&loaded))
         .map(|(raw, (camera, _))| raw.as_ref().map(|raw| difference::scores(raw, camera.size())))
@@ -185,9 +197,15 @@ fn masks_of(
         .collect();
     let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
     let refined = |(v, agreed): (usize, &Agreed)| {
-        let (Some(raw), Some(background)) = (&raw[v], &backgrounds[v]) else { return agreed.mask.clone() };
-        let votes = cut::votes(raw, &agreed.possible, &agreed.confirmed);
-        without_specks(&cut::cheapest(&votes, &loaded[v].1, background, &agreed.mask), SPECK, HOLE)
+        let (Some(raw), Some(Learnt { background, colours })) = (&raw[v], &learnt[v]) else {
+            return agreed.mask.clone();
+        };
+        let image = &loaded[v].1;
+        let mut votes = cut::votes(raw, &agreed.possible, &agreed.confirmed);
+        if let Some(colours) = colours {
+            colours.add(&mut votes, image, background, &agreed.mask);
+        }
+        without_specks(&cut::cheapest(&votes, image, background, &agreed.mask), SPECK, HOLE)
     };
     Ok(agreed(&cameras, &scores, &silhouettes).par_iter().enumerate().map(refined).collect())
 }
