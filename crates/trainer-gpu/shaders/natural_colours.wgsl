@@ -2,7 +2,7 @@
 // over what is known, in units of the loss.
 // Floor: 28 B per value of those Gaussians.
 //
-// twin: trainer::natural::Adam::step_naturally
+// twin: trainer::natural::Curvature
 // test: trainer-gpu/src/tests.rs::natural_steps_agree
 // bench: gpu/prior
 

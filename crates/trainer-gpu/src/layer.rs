@@ -101,15 +101,12 @@ impl<'a> GpuLayer<'a> {
         let mut commands = self.recording();
         let Self { optimiser, stamp, targets, workspace, .. } = self;
         let target = &targets[self.at];
-        match (natural, &self.prior) {
-            (Some(share), Some(prior)) => {
-                prior.prepare(workspace.gpu, (share, rates), *stamp, optimiser.fixed);
-                prior.step(&mut commands, target, optimiser);
-            }
-            _ => {
-                optimiser.prepare(rates, *stamp);
-                optimiser.step(&mut commands);
-            }
+        if let (Some(share), Some(prior)) = (natural, &self.prior) {
+            prior.prepare(workspace.gpu, (share, rates), *stamp, optimiser.fixed);
+            prior.step(&mut commands, target, optimiser);
+        } else {
+            optimiser.prepare(rates, *stamp);
+            optimiser.step(&mut commands);
         }
         self.around.step(&mut commands, target, workspace, optimiser.corrections());
         workspace.gpu.submit(commands)

@@ -14,8 +14,8 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
 use ffgs_trainer::constants::LONGEST;
 use ffgs_trainer::{
-    Adam, Columns, Curvature, Damping, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise,
-    Prior, TaskView, Update,
+    Adam, Columns, Damping, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise, Prior,
+    TaskView, Update,
 };
 use glam::DMat3;
 use scene::{SIZE, SKY, blob, information, joint, perturbed, photographs, render, world};
@@ -108,7 +108,7 @@ fn natural_steps_agree() {
     let region = half(13);
     let selection = Selection { region: Some(&region), tiles: None, layers: None };
     let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
-    let curvature = Curvature::new(&prior, Damping::new(&information), &seen, region.count());
+    let curvature = prior.curvature(Damping::new(&information), &seen, region.count());
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
     let rates = LearningRates::with_means(1e-3);
     let (mut limited, mut free) = (0, 0);

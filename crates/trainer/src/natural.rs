@@ -5,7 +5,6 @@
 
 use crate::adam::{Adam, LearningRates};
 use crate::constants::{BETA1, LONGEST};
-use crate::prior::{Prior, turn_rows};
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::Information;
 use glam::{DMat3, DVec3};
@@ -59,19 +58,13 @@ fn damping(known: impl Iterator<Item = f64>) -> f32 {
 #[derive(Clone, Copy, Debug)]
 pub struct Curvature<'a> {
     /// Information of all views.
-    information: &'a Information,
-    damping: Damping,
+    pub information: &'a Information,
+    /// What is added to it.
+    pub damping: Damping,
     /// Views that see each Gaussian, among which it is shared out.
-    views: &'a [u32],
+    pub views: &'a [u32],
     /// One nat in units of the loss.
-    unit: f32,
-}
-
-impl<'a> Curvature<'a> {
-    /// For a view of which `pixels` pixels count, when `views` views see each Gaussian.
-    pub fn new(prior: &Prior<'a>, damping: Damping, views: &'a [u32], pixels: usize) -> Self {
-        Self { information: prior.information, damping, views, unit: prior.unit(pixels) }
-    }
+    pub unit: f32,
 }
 
 impl Adam {
@@ -179,115 +172,7 @@ impl Step {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gain::PixelNoise;
-    use glam::DQuat;
-
-    const PIXELS: usize = 100;
-    const FAR: LearningRates =
-        LearningRates { means: 1e3, quats: 1e3, scales: 1e3, opacities: 1e3, sh0: 1e3, sh_rest: 1e3 };
-
-    fn known() -> Information {
-        let mut others = Gaussians::zeros(2, 1);
-        others.quats.fill([0.0, 40.0, 9.0, 25.0]);
-        others.log_scales.fill([3.0, 5.0, 8.0]);
-        others.opacity_logits.fill(7.0);
-        others.sh.fill([2.0, 30.0, 11.0]);
-        let block = DMat3::from_cols_array(&[30.0, 10.0, 5.0, 10.0, 40.0, 2.0, 5.0, 2.0, 20.0]);
-        Information { positions: vec![block; 2], others }
-    }
-
-    fn prior(information: &Information) -> Prior<'_> {
-        Prior { information, noise: PixelNoise { sigma: 0.1, correlated: 5.0 }, weight: 1.0 }
-    }
-
-    fn start() -> Gaussians {
-        let mut g = Gaussians::zeros(2, 1);
-        let turn = DQuat::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7).as_quat();
-        // Twice as long as a unit quaternion.
-        g.quats.fill([turn.w, turn.x, turn.y, turn.z].map(|v| 2.0 * v));
-        g.means.fill([0.4, -0.2, 0.3]);
-        g
-    }
-
-    /// After one step of the whole way from `start`, of the first Gaussian alone, where the loss is the penalty of the prior.
-    fn stepped(
-        information: &Information,
-        goal: &Gaussians,
-        damping: Damping,
-        rates: &LearningRates,
-    ) -> Gaussians {
-        let (prior, mut now) = (prior(information), start());
-        let gradient = prior.pull(goal, vec![3; 2], &now, PIXELS, &[true; 2]);
-        let curvature = Curvature::new(&prior, damping, &[3; 2], PIXELS);
-        Adam::new(2, 1).step_naturally(&mut now, &gradient, (1.0, rates), curvature, &[true, false]);
-        now
-    }
-
-    fn close(a: &[f32], b: &[f32]) -> bool {
-        a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4)
-    }
-
-    /// One step of Newton's method ends at the minimum of a parabola, whatever the units of its parameters.
-    #[test]
-    fn a_whole_step_ends_at_the_minimum_that_the_information_predicts() {
-        let (information, mut goal) = (known(), start());
-        goal.means.fill([0.1, 0.5, -0.3]);
-        let turn = |q: &mut [f32; 4]| {
-            *q = [q[0] - 0.006 * q[1], q[1] + 0.006 * q[0], q[2] + 0.006 * q[3], q[3] - 0.006 * q[2]]
-        };
-        goal.quats.iter_mut().for_each(turn);
-        goal.log_scales.fill([0.5, -1.0, 0.2]);
-        goal.opacity_logits.fill(1.5);
-        goal.sh.fill([0.3, -0.4, 0.7]);
-        let now = stepped(&information, &goal, Damping::default(), &FAR);
-        assert!(close(&now.means[0], &goal.means[0]), "{:?}", now.means);
-        assert!(close(&now.quats[0], &goal.quats[0]), "{:?} {:?}", now.quats, goal.quats);
-        assert!(close(&now.log_scales[0], &goal.log_scales[0]) && close(&now.opacity_logits[..1], &[1.5]));
-        assert!(close(now.sh[..4].as_flattened(), goal.sh[..4].as_flattened()));
-        assert!(now.select(&[1]) == start().select(&[1]), "not touched");
-    }
-
-    /// What nothing is known of gets no derivative of infinite worth, and no step is longer than three rates.
-    #[test]
-    fn steps_are_damped_and_limited() {
-        let (information, mut goal) = (known(), start());
-        goal.log_scales.fill([0.5, -1.0, 0.2]);
-        let damping = Damping { scales: 3.0, ..Damping::default() };
-        let now = stepped(&information, &goal, damping, &FAR);
-        assert!(
-            close(&now.log_scales[0], &[0.25, -1.0 * 5.0 / 8.0, 0.2 * 8.0 / 11.0]),
-            "{:?}",
-            now.log_scales
-        );
-        let now = stepped(&information, &goal, Damping::default(), &LearningRates { scales: 0.1, ..FAR });
-        assert!(close(&now.log_scales[0], &[0.3, -0.3, 0.2]), "{:?}", now.log_scales);
-
-        let nothing = Information { positions: vec![DMat3::ZERO; 2], others: Gaussians::zeros(2, 1) };
-        let (prior, mut now) = (prior(&nothing), start());
-        let mut gradient = Gaussians::zeros(2, 1);
-        gradient.means.fill([1e-3, 0.0, -1e-3]);
-        gradient.opacity_logits.fill(f32::NAN);
-        let curvature = Curvature::new(&prior, Damping::new(&nothing), &[0; 2], PIXELS);
-        let rates = LearningRates::with_means(0.01);
-        Adam::new(2, 1).step_naturally(&mut now, &gradient, (0.3, &rates), curvature, &[true; 2]);
-        assert!(close(&now.means[0], &[0.37, -0.2, 0.33]), "{:?}", now.means);
-        assert_eq!(now.opacity_logits, start().opacity_logits);
-    }
-
-    #[test]
-    fn damping_is_a_tenth_of_what_is_known_on_the_whole() {
-        let mut information = known();
-        // The second Gaussian was just born.
-        information.positions[1] = DMat3::ZERO;
-        information.others.log_scales[1] = [0.0; 3];
-        let damping = Damping::new(&information);
-        assert!(
-            (damping.means - 3.0).abs() < 1e-6 && (damping.scales - 16.0 / 30.0).abs() < 1e-6,
-            "{damping:?}"
-        );
-        assert!((damping.opacities - 0.7).abs() < 1e-6 && (damping.turns - 74.0 / 30.0).abs() < 1e-6);
-    }
+/// Twice the changes of w, x, y, z with turns about the body's x, y and z.
+pub(crate) fn turn_rows([w, x, y, z]: [f32; 4]) -> [[f32; 4]; 3] {
+    [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
 }

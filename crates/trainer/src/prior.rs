@@ -5,7 +5,7 @@
 
 use crate::gain::PixelNoise;
 use crate::loss::SSIM_WEIGHT;
-use crate::natural::{Curvature, Damping};
+use crate::natural::{Curvature, Damping, turn_rows};
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::{Gradients, Information};
 use glam::{DVec3, Quat};
@@ -203,7 +203,15 @@ pub struct Prior<'a> {
     pub weight: f32,
 }
 
-impl Prior<'_> {
+impl<'a> Prior<'a> {
+    /// The curvature of the loss of a view of which `pixels` pixels count, when `views` views see each Gaussian.
+    pub fn curvature<'v>(&self, damping: Damping, views: &'v [u32], pixels: usize) -> Curvature<'v>
+    where
+        'a: 'v,
+    {
+        Curvature { information: self.information, damping, views, unit: self.unit(pixels) }
+    }
+
     /// The same for photographs of `factor` times as many pixels along each side: so many more of them share an error.
     #[must_use]
     pub fn finer(self, factor: usize) -> Self {
@@ -214,7 +222,7 @@ impl Prior<'_> {
     /// What one nat of information is in the loss of `pixels` pixels, the mean absolute error over their three channels: at an
     /// error of one sigma its derivative `l1_share / (3 pixels)` stands for `1 / (sigma correlated)` in units of the log
     /// likelihood.
-    pub(crate) fn unit(&self, pixels: usize) -> f32 {
+    fn unit(&self, pixels: usize) -> f32 {
         let PixelNoise { sigma, correlated } = self.noise;
         let l1_share = 1.0 - SSIM_WEIGHT as f32;
         l1_share * (sigma * correlated) as f32 / (3 * pixels.max(1)) as f32
@@ -255,7 +263,7 @@ impl<'a> Penalty<'a> {
 
     /// Of a loss over `pixels` pixels.
     pub(crate) fn curvature(&self, pixels: usize) -> Curvature<'_> {
-        Curvature::new(&self.prior, self.damping, &self.views, pixels)
+        self.prior.curvature(self.damping, &self.views, pixels)
     }
 
     /// Adds the derivative at `now` to that of a loss over `pixels` pixels.
@@ -299,11 +307,6 @@ fn turn_pull(start: [f32; 4], now: [f32; 4], information: [f32; 4]) -> [f32; 4] 
         (0..3).map(|l| information[l + 1] * turn[l + 1] * scale * rows[l][column]).sum::<f32>()
     };
     [0, 1, 2, 3].map(by)
-}
-
-/// Twice the changes of w, x, y, z with turns about the body's x, y and z.
-pub(crate) fn turn_rows([w, x, y, z]: [f32; 4]) -> [[f32; 4]; 3] {
-    [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
 }
 
 #[cfg(test)]

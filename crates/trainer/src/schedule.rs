@@ -97,9 +97,9 @@ impl Schedule<'_> {
             training.backward()?;
             let (share, rates) = ((self.natural)(iteration), (self.rates)(iteration));
             if share > 0.0 {
-                training.step_naturally(share, &rates)?
+                training.step_naturally(share, &rates)?;
             } else {
-                training.step(&rates)?
+                training.step(&rates)?;
             }
             after(iteration + 1, training)?;
             training.progress(iteration + 1, self.iterations)?.into_iter().for_each(&mut *report);

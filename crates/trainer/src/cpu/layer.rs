@@ -63,14 +63,15 @@ impl<'a> CpuLayer<'a> {
         }
     }
 
-    fn descend(&mut self, natural: Option<f32>, rates: &LearningRates) -> Result<(), Infallible> {
+    /// One step of everything that is trained, by Adam or, with a prior, by a share of the natural step.
+    fn descend(&mut self, natural: Option<f32>, rates: &LearningRates) {
         let touched = &mut self.gradients.touched;
         touched[..self.fixed].fill(false);
         let gradient = &self.gradients.gaussians;
         match (natural, &self.penalty) {
             (Some(share), Some(penalty)) => {
                 let TaskView { view, region, .. } = &self.views[self.at];
-                let curvature = penalty.curvature(pixels(view, region));
+                let curvature = penalty.curvature(pixels(view, region.as_ref()));
                 self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
             }
             _ => self.adam.step(self.layer, gradient, rates, Update::Touched(touched)),
@@ -79,13 +80,12 @@ impl<'a> CpuLayer<'a> {
         if let Some(sums) = &mut self.sums {
             sums.add(&self.gradients.mean2d_norm, touched);
         }
-        Ok(())
     }
 }
 
 /// Pixels of a loss.
-fn pixels(view: &TrainingView, region: &Option<Mask>) -> usize {
-    region.as_ref().map_or(view.camera.size().pixels(), Mask::count)
+fn pixels(view: &TrainingView, region: Option<&Mask>) -> usize {
+    region.map_or(view.camera.size().pixels(), Mask::count)
 }
 
 impl Training for CpuLayer<'_> {
@@ -114,17 +114,19 @@ impl Training for CpuLayer<'_> {
         let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
         self.rasterizer.backward(self.layer, &frame, &mut self.tape, &upstream, &mut self.gradients);
         if let Some(penalty) = &self.penalty {
-            penalty.add(self.layer, pixels(view, region), &mut self.gradients);
+            penalty.add(self.layer, pixels(view, region.as_ref()), &mut self.gradients);
         }
         Ok(())
     }
 
     fn step(&mut self, rates: &LearningRates) -> Result<(), Infallible> {
-        self.descend(None, rates)
+        self.descend(None, rates);
+        Ok(())
     }
 
     fn step_naturally(&mut self, share: f32, rates: &LearningRates) -> Result<(), Infallible> {
-        self.descend(Some(share), rates)
+        self.descend(Some(share), rates);
+        Ok(())
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {
