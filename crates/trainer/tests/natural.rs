@@ -56,7 +56,7 @@ fn a_whole_step_ends_at_the_minimum_that_the_information_predicts() {
     let (information, mut goal) = (known(), start());
     goal.means.fill([0.1, 0.5, -0.3]);
     let turn = |q: &mut [f32; 4]| {
-        *q = [q[0] - 0.006 * q[1], q[1] + 0.006 * q[0], q[2] + 0.006 * q[3], q[3] - 0.006 * q[2]]
+        *q = [q[0] - 0.006 * q[1], q[1] + 0.006 * q[0], q[2] + 0.006 * q[3], q[3] - 0.006 * q[2]];
     };
     goal.quats.iter_mut().for_each(turn);
     goal.log_scales.fill([0.5, -1.0, 0.2]);
@@ -77,7 +77,7 @@ fn steps_are_damped_and_limited() {
     goal.log_scales.fill([0.5, -1.0, 0.2]);
     let damping = Damping { scales: 3.0, ..Damping::default() };
     let now = stepped(&information, &goal, damping, &FAR);
-    assert!(close(&now.log_scales[0], &[0.25, -1.0 * 5.0 / 8.0, 0.2 * 8.0 / 11.0]), "{:?}", now.log_scales);
+    assert!(close(&now.log_scales[0], &[0.25, -5.0 / 8.0, 0.2 * 8.0 / 11.0]), "{:?}", now.log_scales);
     let now = stepped(&information, &goal, Damping::default(), &LearningRates { scales: 0.1, ..FAR });
     assert!(close(&now.log_scales[0], &[0.3, -0.3, 0.2]), "{:?}", now.log_scales);
 
