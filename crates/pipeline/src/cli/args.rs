@@ -114,7 +114,7 @@ pub struct RunArgs {
     /// How the scene moves from frame to frame
     #[arg(long, alias = "init", value_name = "METHOD", value_parser = MethodParser)]
     pub method: Option<MethodChoice>,
-    /// Iterations of the dynamic layer per frame
+    /// Iterations of the dynamic layer per frame [default: dynamic.iterations of the settings]
     #[arg(long, value_name = "N")]
     pub iterations: Option<usize>,
     /// Take this many steps of Adam per frame for the static layer's colours, instead of one linear solve (0 = leave them)
