@@ -60,6 +60,8 @@ const PYTHON_MANIFEST: &str = "crates/python/Cargo.toml";
 /// Figures of `metrics.json`'s `mean` that must be finite.
 const FIGURES: [&str; 6] = ["psnr", "mpsnr", "ssim", "seconds_per_frame", "gaussians", "bytes_per_frame"];
 
+/// Streams that every decoder must read: of the version that is written, and of the one before.
+const CONFORMANCE: [&str; 2] = ["fixtures/reference/stream", "fixtures/reference/stream-2"];
 /// The test camera whose picture in the page is compared with that of `ffgs render`.
 const PAGE_CAMERA: &str = "trk009";
 
@@ -197,7 +199,7 @@ fn starts(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
 }
 
-/// Splat files as PlayCanvas' splat-transform reads them, and our page's decoder on the conformance stream; skipped, with the reason, where it cannot be installed.
+/// Splat files as PlayCanvas' splat-transform reads them, and our page's decoder on the conformance streams; skipped, with the reason, where it cannot be installed.
 fn players(root: &Path) -> Result<Outcome> {
     let (variable, reader) = match players::judge(root) {
         Ok(judge) => judge,
@@ -208,10 +210,10 @@ fn players(root: &Path) -> Result<Outcome> {
     // The whole workspace, as in the step before: one package by itself has other features and would be built again.
     let words = ["test", "--workspace", "--test", "formats", "players_read_what_was_written"];
     let files = captured(command.args(words))?;
-    let script =
-        ["xtask/players/stream_test.mjs", "crates/pipeline/web/stream.js", "fixtures/reference/stream"];
-    let stream = captured(Command::new("node").current_dir(root).args(script))?;
-    Ok(Outcome::Passed(files + &stream))
+    let script = ["xtask/players/stream_test.mjs", "crates/pipeline/web/stream.js"];
+    let decoded = |stream: &str| captured(Command::new("node").current_dir(root).args(script).arg(stream));
+    let streams = CONFORMANCE.map(decoded).into_iter().collect::<Result<String>>()?;
+    Ok(Outcome::Passed(files + &streams))
 }
 
 /// The whole run on two frames of the sample with few iterations, into a folder that the step `page` shows.

@@ -1,6 +1,6 @@
-// Decoder of the 4D stream, versions 1 and 2, as docs/STREAM.md specifies it. No dependency; browsers and node.
+// Decoder of the 4D stream, versions 1 to 3, as docs/STREAM.md specifies it. No dependency; browsers and node.
 
-const VERSIONS = [1, 2];
+const VERSIONS = [1, 2, 3];
 const MAX_ROWS = 2 ** 25;
 const ROWS_PER_BYTE = 4096;
 const MAX_GROUPS = 16;
@@ -90,18 +90,16 @@ class Symbols {
     }
 }
 
-class Numbers {
-    constructor() {
-        this.last = 0;
-        this.zero = bits(3);
+/** Models of signed integers that depend on a context. */
+class ContextNumbers {
+    constructor(contexts) {
+        this.zero = bits(contexts);
         this.sign = new Bit();
-        this.more = [bits(31), bits(31), bits(31)];
-        this.next = [bits(31), bits(31), bits(31)];
+        this.more = Array.from({ length: contexts }, () => bits(31));
+        this.next = Array.from({ length: contexts }, () => bits(31));
     }
 
-    decode(coder) {
-        const context = this.last;
-        this.last = 0;
+    decode(coder, context) {
         if (!coder.bit(this.zero[context])) return 0;
         const negative = coder.bit(this.sign);
         let below = 0;
@@ -112,8 +110,23 @@ class Numbers {
             const rest = below - 1;
             value = (value << rest) | coder.plain(rest);
         }
-        this.last = below === 0 ? 1 : 2;
         return negative ? -value | 0 : value | 0;
+    }
+}
+
+/** What a number tells of its neighbours. */
+const classOf = (value) => (value === 0 ? 0 : value === 1 || value === -1 ? 1 : 2);
+
+class Numbers {
+    constructor() {
+        this.last = 0;
+        this.models = new ContextNumbers(3);
+    }
+
+    decode(coder) {
+        const value = this.models.decode(coder, this.last);
+        this.last = classOf(value);
+        return value;
     }
 }
 
@@ -162,18 +175,33 @@ function changeColour(models, coder, from, fromAt, out, at) {
     out[at + 2] = from[fromAt + 2] + blue;
 }
 
+/** Whether the harmonics of a layer are brightness and two differences of colours instead of red, green and blue. */
+export const isOpponent = (steps) => steps.harmonic_channels === 'opponent';
+
 class Harmonics {
-    constructor() {
+    constructor(steps) {
+        this.count = harmonicsOf(steps);
+        this.opponent = isOpponent(steps);
         this.any = new Flag();
-        this.values = three();
+        this.values = Array.from({ length: this.opponent ? 9 : 3 }, () => new ContextNumbers(this.opponent ? 9 : 3));
+        this.last = this.values.map(() => 0);
+        this.before = new Uint8Array(MAX_HARMONICS);
     }
 
     /** Adds what is coded to the values from `at` on. */
-    decode(coder, count, out, at) {
-        if (count === 0 || !this.any.decode(coder)) return;
-        for (let k = 0; k < count; k++) {
+    decode(coder, out, at) {
+        if (this.count === 0 || !this.any.decode(coder)) {
+            this.before.fill(0);
+            return;
+        }
+        const { opponent, before, last } = this;
+        for (let k = 0; k < this.count; k++) {
             const degree = (k >= 9 ? 1 : 0) + (k >= 24 ? 1 : 0);
-            out[at + k] += this.values[degree].decode(coder);
+            const model = opponent ? 3 * degree + (k % 3) : degree;
+            const context = opponent ? 3 * before[k] + last[model] : last[model];
+            const value = this.values[model].decode(coder, context);
+            before[k] = last[model] = classOf(value);
+            out[at + k] += value;
         }
     }
 }
@@ -188,7 +216,7 @@ class RowModels {
         this.rotation = [0, 1, 2].map(() => new Symbols(bitLength(Math.max(1, 2 * steps.rotation))));
         this.opacity = new Symbols(bitLength(Math.max(1, steps.opacity)));
         this.colour = three();
-        this.harmonics = new Harmonics();
+        this.harmonics = new Harmonics(steps);
         this.before = new Rows(1);
         this.beforeAt = 0;
     }
@@ -209,7 +237,7 @@ class RowModels {
         for (let k = 0; k < 3; k++) rows.rotation[3 * i + k] = this.rotation[k].decode(coder) - steps.rotation;
         rows.opacity[i] = this.opacity.decode(coder);
         changeColour(this.colour, coder, before.colour, 3 * b, rows.colour, 3 * i);
-        this.harmonics.decode(coder, harmonicsOf(steps), rows.harmonics, MAX_HARMONICS * i);
+        this.harmonics.decode(coder, rows.harmonics, MAX_HARMONICS * i);
         this.before = rows;
         this.beforeAt = i;
     }
@@ -217,11 +245,11 @@ class RowModels {
 
 /** Differences to a row that is there. */
 class Residuals {
-    constructor() {
+    constructor(steps) {
         [this.moved, this.turned, this.scaled, this.coloured] = [0, 1, 2, 3].map(() => new Flag());
         [this.position, this.rotation, this.scales, this.colour] = [three(), three(), three(), three()];
         this.opacity = new Numbers();
-        this.harmonics = new Harmonics();
+        this.harmonics = new Harmonics(steps);
     }
 
     /** Adds what is coded to row `i`. */
@@ -236,7 +264,7 @@ class Residuals {
         add(this.scaled, this.scales, rows.scales, 0);
         rows.opacity[i] = Math.min(steps.opacity, Math.max(0, rows.opacity[i] + this.opacity.decode(coder)));
         if (this.coloured.decode(coder)) changeColour(this.colour, coder, rows.colour, 3 * i, rows.colour, 3 * i);
-        this.harmonics.decode(coder, harmonicsOf(steps), rows.harmonics, MAX_HARMONICS * i);
+        this.harmonics.decode(coder, rows.harmonics, MAX_HARMONICS * i);
     }
 }
 
@@ -285,7 +313,7 @@ function decodeKey(section, steps) {
 /** Static rows whose shape has changed: differences, or other Gaussians in their places. */
 function decodeRows(section, steps, rows) {
     const [coder, changed, replaced] = [new Coder(section), new Flag(), new Flag()];
-    const [residuals, models] = [new Residuals(), new RowModels(steps)];
+    const [residuals, models] = [new Residuals(steps), new RowModels(steps)];
     for (let i = 0; i < rows.count; i++) {
         if (!changed.decode(coder)) continue;
         if (replaced.decode(coder)) {
@@ -298,10 +326,10 @@ function decodeRows(section, steps, rows) {
 }
 
 function decodeColours(section, steps, rows) {
-    const [coder, changed, colour, harmonics] = [new Coder(section), new Flag(), three(), new Harmonics()];
+    const [coder, changed, colour, harmonics] = [new Coder(section), new Flag(), three(), new Harmonics(steps)];
     for (let i = 0; i < rows.count; i++) {
         if (changed.decode(coder)) changeColour(colour, coder, rows.colour, 3 * i, rows.colour, 3 * i);
-        harmonics.decode(coder, harmonicsOf(steps), rows.harmonics, MAX_HARMONICS * i);
+        harmonics.decode(coder, rows.harmonics, MAX_HARMONICS * i);
     }
 }
 
@@ -376,7 +404,7 @@ function decodeChange(section, steps, before) {
     const coder = new Coder(words.rest());
     const out = new Rows(before.count + births);
     out.moved = new Int32Array(3 * (before.count + births));
-    const [gone, residuals] = [new Flag(), new Residuals()];
+    const [gone, residuals] = [new Flag(), new Residuals(steps)];
     for (let i = 0; i < before.count; i++) {
         if (gone.decode(coder)) continue;
         const j = out.count++;

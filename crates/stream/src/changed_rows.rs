@@ -22,6 +22,7 @@ enum Change {
 
 impl Change {
     fn of(target: &Measures, row: &Row, steps: &Steps) -> Self {
+        let target = &target.like(row, steps);
         let residual = Residual::of(target, row, steps);
         if !residual.changes_shape() {
             return Self::Stays;

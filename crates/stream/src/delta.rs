@@ -1,10 +1,11 @@
 //! A dynamic row of one frame after the same Gaussian's row of the frame before.
 
+use crate::harmonics::{HarmonicModels, choose};
 use crate::motion::Motion;
 use crate::numbers::{Flag, Number};
 use crate::range_coder::Coder;
 use crate::row::{MAX_HARMONICS, Row};
-use crate::row_models::{HarmonicModels, code_colour, plus};
+use crate::row_models::{code_colour, plus};
 use crate::steps::{Measures, Steps, largest, round, unit};
 
 /// Differences to what motion predicts, in steps.
@@ -34,8 +35,9 @@ impl Default for Residual {
 
 /// Changes smaller than this many steps are not sent. The sender sees what the receiver has, so they do not add up.
 pub(crate) const GATE: f64 = 0.75;
-/// Likewise of harmonics: most of what they change by from frame to frame is noise, and they are 45 of 59 numbers (docs/STREAM.md).
-const HARMONIC_GATE: f64 = 1.5;
+/// How much more a change of harmonics must gain per bit than a harmonic of a key frame: most of what they change by from frame
+/// to frame is noise, and they are 45 of 59 numbers (docs/STREAM.md).
+const HARMONIC_CHANGE: f64 = 5.0;
 
 fn gated(target: f64, predicted: i32) -> i32 {
     let change = target - f64::from(predicted);
@@ -43,18 +45,10 @@ fn gated(target: f64, predicted: i32) -> i32 {
 }
 
 /// The changes of harmonics that are worth sending.
-pub(crate) fn gated_harmonics(
-    target: &[f64; MAX_HARMONICS],
-    sent: &[i16; MAX_HARMONICS],
-) -> [i16; MAX_HARMONICS] {
-    let mut out = [0; MAX_HARMONICS];
-    for (out, (target, sent)) in out.iter_mut().zip(target.iter().zip(sent)) {
-        let change = target - f64::from(*sent);
-        if change.abs() >= HARMONIC_GATE {
-            *out = round(change).clamp(-(1 << 13), 1 << 13) as i16;
-        }
-    }
-    out
+pub(crate) fn changed_harmonics(target: &Measures, sent: &[i16; MAX_HARMONICS]) -> [i16; MAX_HARMONICS] {
+    let mut change = target.harmonics;
+    change.iter_mut().zip(sent).for_each(|(c, &sent)| *c -= f64::from(sent));
+    choose(&change, HARMONIC_CHANGE * target.price)
 }
 
 /// The row that a group's motion predicts: position and rotation move with it, all else stays.
@@ -73,6 +67,7 @@ pub(crate) fn predict(row: &Row, motion: &Motion, steps: &Steps) -> Row {
 impl Residual {
     /// What leads from the prediction to a Gaussian, as far as it is worth sending.
     pub(crate) fn of(target: &Measures, predicted: &Row, steps: &Steps) -> Self {
+        let target = &target.like(predicted, steps);
         let unit = f64::from(1_u32 << steps.level(predicted.scales));
         let turned = steps.rotation_measures(target.quat, predicted.largest);
         let three = |target: [f64; 3], from: [i32; 3]| [0, 1, 2].map(|k| gated(target[k], from[k]));
@@ -86,7 +81,7 @@ impl Residual {
             scales: three(target.scales, predicted.scales),
             opacity: gated(target.opacity, predicted.opacity),
             colour: three(target.colour, predicted.colour),
-            harmonics: gated_harmonics(&target.harmonics, &predicted.harmonics),
+            harmonics: changed_harmonics(target, &predicted.harmonics),
         }
     }
 
@@ -134,7 +129,7 @@ impl ResidualModels {
         if coloured.code(coder, residual.colour != [0; 3]) {
             out.colour = code_colour(&mut self.colour, coder, residual.colour);
         }
-        out.harmonics = self.harmonics.code(coder, steps.harmonics(), &residual.harmonics);
+        out.harmonics = self.harmonics.code(coder, steps.coded_harmonics(), &residual.harmonics);
         out
     }
 }

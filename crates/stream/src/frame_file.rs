@@ -4,8 +4,8 @@ use crate::error::Problem;
 
 const MAGIC: &[u8; 4] = b"FF4D";
 /// Of the format that is written.
-pub(crate) const VERSION: u32 = 2;
-/// The first, which has no changed static rows, is read as well.
+pub(crate) const VERSION: u32 = 3;
+/// Those before are read as well: the first has no changed static rows, the second has harmonics as red, green and blue.
 pub(crate) const READABLE: std::ops::RangeInclusive<u32> = 1..=VERSION;
 const HEAD: usize = 8;
 const CHECKSUM: usize = 4;

@@ -1,13 +1,14 @@
 //! The sections of both layers. Each is written down once, for the sender and the receiver.
 
-use crate::delta::{GATE, Residual, ResidualModels, gated_harmonics, predict};
+use crate::delta::{GATE, Residual, ResidualModels, changed_harmonics, predict};
 use crate::error::Problem;
 use crate::frame_file::take_u32;
+use crate::harmonics::HarmonicModels;
 use crate::motion::Motion;
 use crate::numbers::{Flag, Number};
 use crate::range_coder::{Coder, Decoder, Encoder};
 use crate::row::{MAX_GROUPS, MAX_HARMONICS, Row};
-use crate::row_models::{HarmonicModels, RowModels, code_colour, plus};
+use crate::row_models::{RowModels, code_colour, plus};
 use crate::steps::{Measures, Steps, round};
 
 /// Gaussians that a section may claim: more would not fit in the memory of a player.
@@ -84,7 +85,7 @@ impl ColourChange {
         let change = [0, 1, 2].map(|k| target.colour[k] - f64::from(row.colour[k]));
         let sent = change.iter().any(|c| c.abs() >= GATE);
         let colour = if sent { change.map(round) } else { [0; 3] };
-        Self { colour, harmonics: gated_harmonics(&target.harmonics, &row.harmonics) }
+        Self { colour, harmonics: changed_harmonics(target, &row.harmonics) }
     }
 
     fn apply(&self, row: &mut Row) {
@@ -106,7 +107,10 @@ impl ColourModels {
         if self.changed.code(coder, change.colour != [0; 3]) {
             colour = code_colour(&mut self.colour, coder, change.colour);
         }
-        ColourChange { colour, harmonics: self.harmonics.code(coder, steps.harmonics(), &change.harmonics) }
+        ColourChange {
+            colour,
+            harmonics: self.harmonics.code(coder, steps.coded_harmonics(), &change.harmonics),
+        }
     }
 }
 

@@ -49,14 +49,7 @@ impl Motion {
 
     /// A rotation after it has moved: the product of both quaternions (w, x, y, z).
     pub(crate) fn turn(&self, q: [f64; 4]) -> [f64; 4] {
-        let [a, b, c, d] = self.quat.map(f64::from);
-        let [w, x, y, z] = q;
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ]
+        product(self.quat.map(f64::from), q)
     }
 
     /// The rigid motion that takes points nearest to others, in least squares (Horn 1987); `NONE` of no points.
@@ -84,6 +77,16 @@ impl Motion {
             step: [0, 1, 2].map(|k| (to[k] - from[k]) as f32),
         }
     }
+}
+
+/// The product of two quaternions (w, x, y, z): the second rotation, then the first.
+pub(crate) fn product([a, b, c, d]: [f64; 4], [w, x, y, z]: [f64; 4]) -> [f64; 4] {
+    [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
 }
 
 /// Quaternion of the rotation that aligns points with the given sums of products.

@@ -6,33 +6,29 @@ use crate::range_coder::{Bit, Coder};
 const MAX_BITS: usize = 31;
 
 /// Models of a signed integer that is usually near 0: whether it is 0, its sign, the number of its bits in unary, the highest
-/// of the bits that follow, and the others as they are. All but the sign depend on whether the last number had no bit, one, or more.
+/// of the bits that follow, and the others as they are. All but the sign depend on a context.
 #[derive(Clone, Debug)]
-pub struct Number {
-    last: usize,
-    zero: [Bit; 3],
+pub(crate) struct ContextNumber<const CONTEXTS: usize> {
+    zero: [Bit; CONTEXTS],
     sign: Bit,
-    more: [[Bit; MAX_BITS]; 3],
-    next: [[Bit; MAX_BITS]; 3],
+    more: [[Bit; MAX_BITS]; CONTEXTS],
+    next: [[Bit; MAX_BITS]; CONTEXTS],
 }
 
-impl Default for Number {
+impl<const CONTEXTS: usize> Default for ContextNumber<CONTEXTS> {
     fn default() -> Self {
         Self {
-            last: 0,
-            zero: Default::default(),
+            zero: [Bit::default(); CONTEXTS],
             sign: Bit::default(),
-            more: [[Bit::default(); MAX_BITS]; 3],
-            next: [[Bit::default(); MAX_BITS]; 3],
+            more: [[Bit::default(); MAX_BITS]; CONTEXTS],
+            next: [[Bit::default(); MAX_BITS]; CONTEXTS],
         }
     }
 }
 
-impl Number {
+impl<const CONTEXTS: usize> ContextNumber<CONTEXTS> {
     /// Codes a number; -2^31 cannot be coded.
-    pub fn code(&mut self, coder: &mut impl Coder, value: i32) -> i32 {
-        let context = self.last;
-        self.last = 0;
+    pub(crate) fn code(&mut self, coder: &mut impl Coder, context: usize, value: i32) -> i32 {
         if !coder.bit(&mut self.zero[context], value != 0) {
             return 0;
         }
@@ -52,9 +48,29 @@ impl Number {
         let (high, low) = (rest.saturating_sub(16), rest.min(16));
         out = out << high | coder.plain(high, magnitude >> low & ((1 << high) - 1));
         out = out << low | coder.plain(low, magnitude & ((1 << low) - 1));
-        self.last = if bits == 0 { 1 } else { 2 };
         let signed = out as i32;
         if negative { signed.wrapping_neg() } else { signed }
+    }
+}
+
+/// What a number tells of its neighbours: 0, 1 for a magnitude of 1, or 2.
+pub(crate) fn class(value: i32) -> usize {
+    value.unsigned_abs().min(2) as usize
+}
+
+/// Models of a signed integer that resembles the last one.
+#[derive(Clone, Debug, Default)]
+pub struct Number {
+    last: usize,
+    models: ContextNumber<3>,
+}
+
+impl Number {
+    /// Codes a number; -2^31 cannot be coded.
+    pub fn code(&mut self, coder: &mut impl Coder, value: i32) -> i32 {
+        let value = self.models.code(coder, self.last, value);
+        self.last = class(value);
+        value
     }
 }
 

@@ -93,10 +93,14 @@ impl Reader {
         }
         let state = self.state.as_ref().ok_or_else(missing).in_file(&self.folder)?;
         let filter = self.manifest.filter();
+        let (static_layer, dynamic_layer) = both(
+            || gaussians(&state.still, &self.manifest.static_steps, filter),
+            || gaussians(&state.moving, &self.manifest.dynamic_steps, filter),
+        );
         Ok(DecodedFrame {
             frame,
-            static_layer: gaussians(&state.still, &self.manifest.static_steps, filter),
-            dynamic_layer: gaussians(&state.moving, &self.manifest.dynamic_steps, filter),
+            static_layer,
+            dynamic_layer,
             uncertainty: state.uncertainty.clone(),
             sky: state.sky.clone(),
         })
@@ -165,19 +169,26 @@ impl Reader {
         if entry.key {
             state.still.clone_from(&state.base);
         }
-        if let Some(section) = find(Tag::StaticRows) {
-            decode_rows(&mut state.still, still_steps, section);
-        }
-        if let Some(section) = find(Tag::StaticColours) {
-            decode_colours(&mut state.still, still_steps, section);
-        }
-        if entry.key {
-            let section = find(Tag::DynamicKey).ok_or_else(|| absent(Tag::DynamicKey))?;
-            state.moving = decode_key(section, moving_steps)?;
-        } else {
+        let (still, moving) = (&mut state.still, &mut state.moving);
+        let change_still = || {
+            if let Some(section) = find(Tag::StaticRows) {
+                decode_rows(still, still_steps, section);
+            }
+            if let Some(section) = find(Tag::StaticColours) {
+                decode_colours(still, still_steps, section);
+            }
+        };
+        let change_moving = || {
+            if entry.key {
+                let section = find(Tag::DynamicKey).ok_or_else(|| absent(Tag::DynamicKey))?;
+                *moving = decode_key(section, moving_steps)?;
+                return Ok(());
+            }
             let section = find(Tag::DynamicChange).ok_or_else(|| absent(Tag::DynamicChange))?;
-            decode_change(&mut state.moving, moving_steps, section)?;
-        }
+            decode_change(moving, moving_steps, section)
+        };
+        let ((), changed) = both(change_still, change_moving);
+        changed?;
         state.uncertainty = find(Tag::Uncertainty).map(|bytes| decode_uncertainty(state.moving.len(), bytes));
         if let Some(sky) = find(Tag::Sky) {
             state.sky = sky.to_vec();
@@ -202,6 +213,15 @@ impl State {
             sky: Vec::new(),
         }
     }
+}
+
+/// Does two things at a time: the layers do not depend on each other.
+fn both<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() -> B) -> (A, B) {
+    std::thread::scope(|scope| {
+        let first = scope.spawn(first);
+        let second = second();
+        (first.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), second)
+    })
 }
 
 fn gaussians(rows: &[Row], steps: &Steps, filter: PixelFilter) -> Gaussians {

@@ -1,8 +1,9 @@
 //! How a row is coded after the one before it.
 
-use crate::numbers::{Flag, Number, Symbol};
+use crate::harmonics::HarmonicModels;
+use crate::numbers::{Number, Symbol};
 use crate::range_coder::Coder;
-use crate::row::{GROUP_BITS, MAX_HARMONICS, Row};
+use crate::row::{GROUP_BITS, Row};
 use crate::steps::Steps;
 
 /// Models of whole rows, each coded after its neighbour in space.
@@ -55,7 +56,7 @@ impl RowModels {
         out.opacity = self.opacity.code(coder, row.opacity as u32) as i32;
         let change = code_colour(&mut self.colour, coder, minus(row.colour, before.colour));
         out.colour = plus(before.colour, change);
-        out.harmonics = self.harmonics.code(coder, steps.harmonics(), &row.harmonics);
+        out.harmonics = self.harmonics.code(coder, steps.coded_harmonics(), &row.harmonics);
         self.previous = out;
         out
     }
@@ -91,32 +92,4 @@ pub(crate) fn plus(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
 
 pub(crate) fn minus(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
     [0, 1, 2].map(|k| a[k].wrapping_sub(b[k]))
-}
-
-/// Models of values above degree 0, nearly all of which are 0: whether any is not, then each.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct HarmonicModels {
-    any: Flag,
-    /// One per degree.
-    values: [Number; 3],
-}
-
-impl HarmonicModels {
-    /// Codes the first `count` values.
-    pub(crate) fn code(
-        &mut self,
-        coder: &mut impl Coder,
-        count: usize,
-        values: &[i16; MAX_HARMONICS],
-    ) -> [i16; MAX_HARMONICS] {
-        let mut out = [0; MAX_HARMONICS];
-        if count == 0 || !self.any.code(coder, values.iter().any(|&v| v != 0)) {
-            return out;
-        }
-        for k in 0..count {
-            let degree = usize::from(k >= 9) + usize::from(k >= 24);
-            out[k] = self.values[degree].code(coder, values[k].into()) as i16;
-        }
-        out
-    }
 }

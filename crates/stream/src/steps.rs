@@ -1,5 +1,6 @@
 //! Rounding of Gaussians to integers, and back.
 
+use crate::harmonics::{HarmonicChannels, PRICE, choose};
 use crate::row::{MAX_HARMONICS, Row};
 use ffgs_core::{Gaussians, logit, sigmoid};
 use serde::{Deserialize, Serialize};
@@ -62,6 +63,9 @@ pub struct Steps {
     pub harmonic: f64,
     /// SH degree, 0 to 3.
     pub sh_degree: usize,
+    /// What the three numbers of each coefficient above degree 0 stand for.
+    #[serde(default)]
+    pub harmonic_channels: HarmonicChannels,
 }
 
 impl Steps {
@@ -85,6 +89,7 @@ impl Steps {
             colour: precision.colour,
             harmonic: precision.harmonic,
             sh_degree: layer.sh_degree(),
+            harmonic_channels: HarmonicChannels::Opponent,
         }
     }
 
@@ -101,6 +106,11 @@ impl Steps {
     /// Number of SH values above degree 0.
     pub(crate) fn harmonics(&self) -> usize {
         3 * (ffgs_core::sh_coefficients(self.sh_degree) - 1)
+    }
+
+    /// What their channels are, and their number.
+    pub(crate) fn coded_harmonics(&self) -> (HarmonicChannels, usize) {
+        (self.harmonic_channels, self.harmonics())
     }
 
     /// Positions of a Gaussian with these scales are multiples of two to this power.
@@ -129,8 +139,9 @@ impl Steps {
     pub(crate) fn measures(&self, g: &Gaussians, i: usize) -> Measures {
         let sh = g.sh_of(i);
         let mut harmonics = [0.0; MAX_HARMONICS];
-        let rest = sh[1..].as_flattened();
-        harmonics.iter_mut().zip(rest).for_each(|(out, &v)| *out = f64::from(v) / self.harmonic);
+        for (out, rgb) in harmonics.as_chunks_mut::<3>().0.iter_mut().zip(&sh[1..]) {
+            *out = self.harmonic_channels.of_rgb(rgb.map(|v| f64::from(v) / self.harmonic));
+        }
         Measures {
             position: g.means[i].map(|v| f64::from(v) / self.position),
             quat: unit(g.quats[i].map(f64::from)),
@@ -138,6 +149,7 @@ impl Steps {
             opacity: f64::from(sigmoid(g.opacity_logits[i])) * f64::from(self.opacity),
             colour: sh[0].map(|v| f64::from(v) / self.colour),
             harmonics,
+            price: PRICE,
         }
     }
 
@@ -150,8 +162,10 @@ impl Steps {
         out.opacity_logits.push(logit((opacity as f32).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN)));
         out.sh.push(row.colour.map(|v| (f64::from(v) * self.colour) as f32));
         let rest = &row.harmonics[..self.harmonics()];
-        let value = |v: i16| (f64::from(v) * self.harmonic) as f32;
-        out.sh.extend(rest.as_chunks::<3>().0.iter().map(|rgb| rgb.map(value)));
+        let rgb = |of: &[i16; 3]| {
+            self.harmonic_channels.to_rgb(of.map(|v| f64::from(v) * self.harmonic)).map(|v| v as f32)
+        };
+        out.sh.extend(rest.as_chunks::<3>().0.iter().map(rgb));
     }
 
     /// Quaternion (w, x, y, z) of a row, of unit length up to rounding.
@@ -176,6 +190,7 @@ impl Steps {
 }
 
 /// A Gaussian in steps, not rounded.
+#[derive(Clone, Copy)]
 pub(crate) struct Measures {
     pub(crate) position: [f64; 3],
     /// Unit quaternion (w, x, y, z).
@@ -183,7 +198,10 @@ pub(crate) struct Measures {
     pub(crate) scales: [f64; 3],
     pub(crate) opacity: f64,
     pub(crate) colour: [f64; 3],
+    /// In the channels of the steps.
     pub(crate) harmonics: [f64; MAX_HARMONICS],
+    /// What a bit must gain in it (squared steps).
+    pub(crate) price: f64,
 }
 
 /// The quaternion at unit length; the identity for one of length 0.
@@ -205,6 +223,7 @@ pub(crate) fn round(x: f64) -> i32 {
 impl Row {
     /// Rounds a Gaussian.
     pub(crate) fn rounded(m: &Measures, steps: &Steps, group: u8) -> Self {
+        let m = m.canonical();
         let scales = m.scales.map(round);
         let level = steps.level(scales);
         let unit = f64::from(1_u32 << level);
@@ -216,15 +235,8 @@ impl Row {
             scales,
             opacity: round(m.opacity).clamp(0, steps.opacity),
             colour: m.colour.map(round),
-            harmonics: m.harmonics.map(|v| dead_zone(v) as i16),
+            harmonics: choose(&m.harmonics, m.price),
             group,
         }
     }
-}
-
-/// Rounds with a wider 0, which costs next to nothing to code.
-fn dead_zone(v: f64) -> i32 {
-    /// Magnitudes below this become 0.
-    const EDGE: f64 = 0.7;
-    if v.abs() < EDGE { 0 } else { round(v).clamp(-(1 << 14), 1 << 14) }
 }

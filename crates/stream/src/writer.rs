@@ -8,6 +8,7 @@ use crate::manifest::{Entry, FRAMES, MANIFEST, Manifest, read_entries};
 use crate::motion::{Motion, Pair, clusters, nearest, robust_fit};
 use crate::row::{MAX_GROUPS, Row};
 use crate::steps::{Measures, Precision, Steps};
+use crate::target::Target;
 use ffgs_core::{Gaussians, refuse_link, spatial_order, write_atomically};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::OpenOptions;
@@ -31,6 +32,19 @@ pub struct Frame<'a> {
     pub sky: &'a [u8],
     /// Whether the sky differs visibly from the last one written.
     pub sky_has_changed: bool,
+    /// How much errors of each static and each dynamic Gaussian show: squared blending weights, summed over the pixels of some
+    /// views; not negative. Without it all count alike.
+    pub importance: Option<[&'a [f32]; 2]>,
+}
+
+impl<'a> Frame<'a> {
+    fn static_target(&self, steps: &'a Steps) -> Target<'a> {
+        Target::new(self.static_layer, steps, self.importance.map(|of| of[0]))
+    }
+
+    fn dynamic_target(&self, steps: &'a Steps) -> Target<'a> {
+        Target::new(self.dynamic_layer, steps, self.importance.map(|of| of[1]))
+    }
 }
 
 /// Appends frames to a stream. Memory is that of two frames.
@@ -56,9 +70,9 @@ struct Still {
 
 impl Still {
     /// Whether sending all of a layer is better than what has changed.
-    fn is_far_from(&self, layer: &Gaussians, steps: &Steps) -> bool {
+    fn is_far_from(&self, target: &Target, steps: &Steps) -> bool {
         let n = self.base.len();
-        layer.len() != n || 2 * count(&self.base, steps, |i| steps.measures(layer, i)) > n
+        target.layer.len() != n || 2 * count(&self.base, steps, |i| target.measures(i)) > n
     }
 }
 
@@ -123,7 +137,8 @@ impl Writer {
     pub fn push(&mut self, frame: &Frame) -> Result<Entry, StreamError> {
         self.check(frame).in_file(&self.folder)?;
         let steps = &self.manifest.static_steps;
-        let static_key = self.still.as_ref().is_none_or(|still| still.is_far_from(frame.static_layer, steps));
+        let target = frame.static_target(steps);
+        let static_key = self.still.as_ref().is_none_or(|still| still.is_far_from(&target, steps));
         let key = static_key || self.moving.is_none() || self.since_key >= self.key_every;
         let mut sections = Vec::new();
         self.static_sections(frame, static_key, key, &mut sections);
@@ -156,6 +171,10 @@ impl Writer {
         if frame.ids.len() != n || frame.uncertainty.is_some_and(|u| u.len() != n) {
             return shape(format!("{n} dynamic Gaussians, {} names", frame.ids.len()));
         }
+        let counts = [frame.static_layer.len(), n];
+        if frame.importance.is_some_and(|of| of.map(<[f32]>::len) != counts) {
+            return shape(format!("importances of other numbers of Gaussians than {counts:?}"));
+        }
         match self.last_frame {
             Some(last) if last >= frame.frame => shape(format!("frame {} after frame {last}", frame.frame)),
             _ => Ok(()),
@@ -163,17 +182,18 @@ impl Writer {
     }
 
     fn static_sections(&mut self, frame: &Frame, static_key: bool, key: bool, out: &mut Vec<(Tag, Vec<u8>)>) {
-        let (steps, layer) = (&self.manifest.static_steps, frame.static_layer);
+        let steps = &self.manifest.static_steps;
+        let target = frame.static_target(steps);
+        let target = |i: usize| target.measures(i);
         if static_key {
-            let rows: Vec<Row> =
-                (0..layer.len()).map(|i| Row::rounded(&steps.measures(layer, i), steps, 0)).collect();
+            let count = frame.static_layer.len();
+            let rows: Vec<Row> = (0..count).map(|i| Row::rounded(&target(i), steps, 0)).collect();
             out.push((Tag::StaticKey, encode_key(&rows, steps)));
             self.still = Some(Still { base: rows.clone(), now: rows });
         } else if let Some(still) = &mut self.still {
             if key {
                 still.now.clone_from(&still.base);
             }
-            let target = |i: usize| steps.measures(layer, i);
             if count(&still.now, steps, target) > 0 {
                 out.push((Tag::StaticRows, encode_rows(&mut still.now, steps, target)));
             }
@@ -183,10 +203,9 @@ impl Writer {
 
     fn dynamic_sections(&mut self, frame: &Frame, key: bool, out: &mut Vec<(Tag, Vec<u8>)>) {
         let steps = &self.manifest.dynamic_steps;
-        let layer = frame.dynamic_layer;
         let (moving, section) = match self.moving.take() {
             Some(moving) if !key => change(moving, frame, steps),
-            _ => all(layer, frame.ids, steps),
+            _ => all(frame, steps),
         };
         out.push((if key { Tag::DynamicKey } else { Tag::DynamicChange }, section));
         if let Some(uncertainty) = frame.uncertainty {
@@ -230,22 +249,20 @@ impl Writer {
 }
 
 /// Every row, in spatial order, assigned to new groups.
-fn all(layer: &Gaussians, ids: &[u32], steps: &Steps) -> (Moving, Vec<u8>) {
+fn all(frame: &Frame, steps: &Steps) -> (Moving, Vec<u8>) {
+    let (layer, target) = (frame.dynamic_layer, frame.dynamic_target(steps));
     let order = spatial_order(&layer.means);
     let points: Vec<[f64; 3]> = order.iter().map(|&i| layer.means[i].map(f64::from)).collect();
     let (groups, _) = clusters(&points, MAX_GROUPS);
-    let rows: Vec<Row> = order
-        .iter()
-        .zip(groups)
-        .map(|(&i, group)| Row::rounded(&steps.measures(layer, i), steps, group))
-        .collect();
+    let rows: Vec<Row> =
+        order.iter().zip(groups).map(|(&i, group)| Row::rounded(&target.measures(i), steps, group)).collect();
     let section = encode_key(&rows, steps);
-    (Moving { rows, ids: order.iter().map(|&i| ids[i]).collect() }, section)
+    (Moving { rows, ids: order.iter().map(|&i| frame.ids[i]).collect() }, section)
 }
 
 /// What has changed since the last frame.
 fn change(moving: Moving, frame: &Frame, steps: &Steps) -> (Moving, Vec<u8>) {
-    let layer = frame.dynamic_layer;
+    let (layer, target) = (frame.dynamic_layer, frame.dynamic_target(steps));
     let place: BTreeMap<u32, usize> = frame.ids.iter().copied().zip(0..).collect();
     let now: Vec<Option<usize>> = moving.ids.iter().map(|id| place.get(id).copied()).collect();
     let position = |row: &Row| row.position.map(|v| f64::from(v) * steps.position);
@@ -262,10 +279,10 @@ fn change(moving: Moving, frame: &Frame, steps: &Steps) -> (Moving, Vec<u8>) {
     let new: Vec<usize> = new.collect();
     let birth = |&i: &usize| {
         let group = nearest(&centres, &layer.means[i].map(f64::from));
-        Row::rounded(&steps.measures(layer, i), steps, group)
+        Row::rounded(&target.measures(i), steps, group)
     };
     let births: Vec<Row> = new.iter().map(birth).collect();
-    let targets: Vec<Option<Measures>> = now.iter().map(|i| i.map(|i| steps.measures(layer, i))).collect();
+    let targets: Vec<Option<Measures>> = now.iter().map(|i| i.map(|i| target.measures(i))).collect();
     let mut rows = moving.rows;
     let section =
         encode_change(&mut rows, steps, &Change { motions: &motions, targets: &targets, births: &births });

@@ -6,6 +6,7 @@ pub(crate) mod measure;
 mod args;
 pub(crate) mod axes;
 mod files;
+mod importance;
 pub(crate) mod stream;
 
 pub(crate) use args::ExportArgs;

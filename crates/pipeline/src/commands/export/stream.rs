@@ -3,6 +3,7 @@
 use super::args::ExportArgs;
 use super::axes::{Axes, chosen};
 use crate::cli::terminal::{self, progress};
+use crate::commands::export::importance::Importance;
 use crate::commands::export::measure::{Measurement, Shown, measure, table};
 use crate::commands::view::cameras::Views;
 use crate::commands::view::page::write_page;
@@ -10,7 +11,7 @@ use crate::job::request::FrameRange;
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::json::write_json;
 use anyhow::{Result, bail};
-use ffgs_core::{PixelFilter, Scene};
+use ffgs_core::PixelFilter;
 use ffgs_splats::{Panorama, encode_sky_equirectangular};
 use ffgs_stream::{Entry, Frame, Manifest, Precision, Reader, Steps, Writer};
 use glam::DMat3;
@@ -22,14 +23,14 @@ const KEY_EVERY: u64 = 30;
 const SKY_CHANGE: f32 = 2.0 / 255.0;
 /// Of the static and of the dynamic layer. Static positions are sent once, and one that is off opens gaps between its neighbours;
 /// docs/STREAM.md has the tables that the rest follows from.
-pub(crate) const PRECISION: [Precision; 2] = [Precision { position: 18.0, rotation: 54, ..DYNAMIC }, DYNAMIC];
+pub(crate) const PRECISION: [Precision; 2] = [Precision { position: 13.0, rotation: 38, ..DYNAMIC }, DYNAMIC];
 const DYNAMIC: Precision = Precision {
-    position: 9.0,
+    position: 6.5,
     scales_per_octave: 4,
-    rotation: 36,
+    rotation: 25,
     opacity: 16,
     colour: 0.12,
-    harmonic: 0.035,
+    harmonic: 0.05,
 };
 
 /// How a stream is written.
@@ -83,6 +84,8 @@ pub(crate) struct StreamExport {
     /// The sky last written.
     sky: Vec<f32>,
     axes: Axes,
+    /// And how many frames it has served for.
+    importance: Option<(Importance, u64)>,
     frames: Option<FrameRange>,
     uncertainty: bool,
     /// The last frame looked at.
@@ -99,6 +102,7 @@ impl StreamExport {
             writer,
             sky: Vec::new(),
             axes,
+            importance: None,
             frames: options.frames,
             uncertainty: options.uncertainty,
             seen: None,
@@ -112,7 +116,7 @@ impl StreamExport {
         let bar = progress(quiet, "frames", frames.len());
         for frame in frames {
             if self.writer.last_frame().is_none_or(|last| last < frame as u64) {
-                self.push(frame, &run.scene(frame)?)?;
+                self.push(run, frame)?;
             }
             self.seen = Some(frame);
             bar.inc(1);
@@ -121,10 +125,16 @@ impl StreamExport {
         Ok(())
     }
 
-    fn push(&mut self, frame: usize, scene: &Scene) -> Result<()> {
+    fn push(&mut self, run: &FinishedRun, frame: usize) -> Result<()> {
+        let scene = run.scene(frame)?;
         let texels = scene.sky.texels.as_flattened();
         let Axes { up, forward } = self.axes;
         let deviations: Vec<f32> = scene.dynamic.covariances.iter().map(deviation).collect();
+        let (importance, uses) = match self.importance.take() {
+            Some((last, uses)) if uses < KEY_EVERY && last.fits(&scene) => (last, uses + 1),
+            _ => (Importance::new(&scene, &*run.capture, frame)?, 1),
+        };
+        let (still, moving) = importance.of(&scene);
         let entry = self.writer.push(&Frame {
             frame: frame as u64,
             static_layer: &scene.static_layer,
@@ -133,10 +143,12 @@ impl StreamExport {
             uncertainty: self.uncertainty.then_some(&deviations[..]),
             sky: &encode_sky_equirectangular(scene.sky.face_size(), texels, up, forward)?,
             sky_has_changed: difference(texels, &self.sky) > SKY_CHANGE,
+            importance: Some([still, &moving]),
         })?;
         if entry.sky {
             texels.clone_into(&mut self.sky);
         }
+        self.importance = Some((importance, uses));
         Ok(())
     }
 }

@@ -48,6 +48,7 @@ pub(crate) fn write_points(capture: &dyn Capture, folder: &Path) -> Result<()> {
             uncertainty: None,
             sky: &[],
             sky_has_changed: false,
+            importance: None,
         })?;
     }
     Ok(())
