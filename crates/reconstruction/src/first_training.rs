@@ -9,7 +9,7 @@ use crate::sky::sky_or_none;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, SkyCube, StageLog, TrainingView, stage};
 use ffgs_method::{Split, ViewAt};
-use ffgs_trainer::{FirstFrame, camera_extent};
+use ffgs_trainer::{FirstFrame, FirstFrameConfig, camera_extent};
 use std::time::Instant;
 
 /// The training of few cameras' first frame without one of them, to the monitor and in the log.
@@ -104,8 +104,8 @@ impl Reconstructor<'_> {
         photographs: &mut FirstViews,
         log: &mut StageLog,
     ) -> Result<(FirstFrame, Exposures)> {
-        let config = &self.config.first_frame;
         let FirstViews { shots, views } = photographs;
+        let config = self.first_config(views);
         let first = self.train_all("first frame", views)?;
         let estimating = Instant::now();
         let exposures = if config.exposures && can_be_told(config.iterations, views.len()) {
@@ -121,10 +121,15 @@ impl Reconstructor<'_> {
         Ok((self.train_all(EQUAL, views)?, exposures))
     }
 
+    /// How so many photographs are trained on.
+    fn first_config(&self, views: &[TrainingView]) -> FirstFrameConfig {
+        let pixels = views.iter().map(|view| view.image.size().pixels()).sum();
+        self.config.first_frame.for_photographs(views.len(), pixels)
+    }
+
     /// One training of all Gaussians, from the capture's points.
     fn train_all(&self, name: &'static str, views: &[TrainingView]) -> Result<FirstFrame> {
-        let pixels = views.iter().map(|view| view.image.size().pixels()).sum();
-        let config = &self.config.first_frame.for_photographs(views.len(), pixels);
+        let config = &self.first_config(views);
         let report = self.monitor.begin(name, config.iterations);
         self.devices.first_frame(
             config,

@@ -16,7 +16,7 @@ const RESET_OPACITY: f32 = 0.01;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FirstFrameConfig {
-    /// Steps, one view each.
+    /// Steps, one view each; half of them where views are few.
     pub iterations: usize,
     /// SH degree of the colours (0..=3); one degree more is switched on at each tenth of the steps.
     pub sh_degree: usize,
@@ -84,13 +84,15 @@ impl Default for FirstFrameConfig {
 
 impl FirstFrameConfig {
     /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
-    /// and none with half as many again, with half of `scale_rate` where they are few (docs/adr/0070), and with no more Gaussians than
-    /// they can tell apart.
+    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and of the steps (docs/adr/0076) where they are few,
+    /// and with no more Gaussians than they can tell apart.
     #[must_use]
     pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
         let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
         let told_apart = (f64::from(self.gaussians_per_pixel) * pixels as f64) as usize;
+        let shortened = |steps: usize| (steps as f32 * (1.0 - 0.5 * scarcity)).round() as usize;
         Self {
+            iterations: shortened(self.iterations),
             dropout: self.dropout * scarcity,
             scale_rate: self.scale_rate * (1.0 - 0.5 * scarcity),
             max_gaussians: self.max_gaussians.min(told_apart.max(1)),
@@ -224,17 +226,24 @@ mod tests {
 
     #[test]
     fn what_few_views_need_ends_with_half_as_many_again() {
-        let config =
-            FirstFrameConfig { few_views: 12, dropout: 0.4, scale_rate: 0.5, ..FirstFrameConfig::default() };
+        let config = FirstFrameConfig {
+            few_views: 12,
+            iterations: 3000,
+            dropout: 0.4,
+            scale_rate: 0.5,
+            ..FirstFrameConfig::default()
+        };
         let of = |views: usize| {
             let config = config.for_photographs(views, 1000);
-            (config.dropout, config.scale_rate)
+            (config.dropout, config.scale_rate, config.iterations)
         };
-        let expected = [(0.4, 0.25), (0.4, 0.25), (0.2, 0.375), (0.0, 0.5), (0.0, 0.5)];
+        let few = (0.4, 0.25, 1500);
+        let expected = [few, few, (0.2, 0.375, 2250), (0.0, 0.5, 3000), (0.0, 0.5, 3000)];
         assert_eq!([3, 12, 15, 18, 40].map(of), expected);
         let never = FirstFrameConfig { few_views: 0, ..config };
         let never = [1, 3].map(|views| never.for_photographs(views, 1000));
-        assert_eq!(never.map(|config| (config.dropout, config.scale_rate)), [(0.0, 0.5); 2]);
+        let needs = |config: FirstFrameConfig| (config.dropout, config.scale_rate, config.iterations);
+        assert_eq!(never.map(needs), [(0.0, 0.5, 3000); 2]);
     }
 
     #[test]
