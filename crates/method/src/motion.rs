@@ -32,6 +32,12 @@ pub trait MotionMethod: Send {
         false
     }
 
+    /// Whether its own training computes on the CPU whatever the device: its parameters are not those of Gaussians, or its loss is
+    /// not photometric alone (docs/adr/0036).
+    fn trains_on_cpu(&self) -> bool {
+        false
+    }
+
     /// Fits the scene to the photographs of t, with own losses and an own schedule. By default the method leaves that to
     /// the lanes of the trainer.
     ///

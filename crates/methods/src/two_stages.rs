@@ -91,6 +91,10 @@ impl<N: Nodes> TwoStages<N> {
 }
 
 impl<N: Nodes> MotionMethod for TwoStages<N> {
+    fn trains_on_cpu(&self) -> bool {
+        true
+    }
+
     /// Moves nothing: the training starts from the nodes of the last frame. Removes as many Gaussians as were added.
     fn predict(&mut self, _: &Step, scene: &mut Scene, _: &mut StageLog) -> Result<()> {
         merge(scene, std::mem::take(&mut self.added));

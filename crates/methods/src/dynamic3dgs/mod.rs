@@ -146,6 +146,10 @@ impl Dynamic3dgs {
 }
 
 impl MotionMethod for Dynamic3dgs {
+    fn trains_on_cpu(&self) -> bool {
+        true
+    }
+
     fn begin(&mut self, first: &Scene) -> Result<()> {
         let mut all = first.clone();
         self.foreground = first.dynamic.gaussians.len();

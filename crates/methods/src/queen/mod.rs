@@ -163,6 +163,10 @@ impl Queen {
 }
 
 impl MotionMethod for Queen {
+    fn trains_on_cpu(&self) -> bool {
+        true
+    }
+
     /// Moves nothing: the last frame is where the training starts.
     fn predict(&mut self, _: &Step, scene: &mut Scene, _: &mut StageLog) -> Result<()> {
         one_layer::join(scene);

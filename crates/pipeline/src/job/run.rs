@@ -122,7 +122,12 @@ impl<'a> Job<'a> {
         // A method that cannot be made leaves the output folder untouched.
         let context = MethodContext { config: &request.config, tracks: &tracks, gpu: gpus.first() };
         let method = match &request.method {
-            Some(method) => method.build(&context).map(|_| method.clone())?,
+            Some(method) => {
+                if method.build(&context)?.trains_on_cpu() && !gpus.is_empty() {
+                    tracing::warn!("--method {method} trains on the CPU, whatever --device says");
+                }
+                method.clone()
+            }
             None if frames.len() == 1 => MethodChoice::suitable(&context)?,
             None => MethodChoice::default().build(&context).map(|_| MethodChoice::default())?,
         };
