@@ -107,8 +107,25 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
         }
     }
     terminal::print(table::markdown(&results::tables(&all)).trim_end());
+    say_what_is_missing(&all);
     terminal::note(format_args!("tables and curves: {}", args.out.join("compare.html").display()));
     Ok(())
+}
+
+/// Once more after the tables, as a long log hides it.
+fn say_what_is_missing(all: &[Compared]) {
+    if !eval::has_vmaf() {
+        terminal::note(
+            "VMAF is left out: no ffmpeg with libvmaf; `cargo xtask setup` installs one, FFGS_FFMPEG names one",
+        );
+    }
+    for compared in all {
+        for outcome in &compared.outcomes {
+            if let Some(reason) = &outcome.stopped {
+                terminal::note(format_args!("{}: {}: {reason}", compared.capture, outcome.title()));
+            }
+        }
+    }
 }
 
 impl CompareArgs {

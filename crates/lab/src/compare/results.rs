@@ -34,7 +34,7 @@ impl Outcome {
         Self { name: candidate.name.clone(), budget, metrics, stopped }
     }
 
-    fn title(&self) -> String {
+    pub(super) fn title(&self) -> String {
         if self.budget == 1.0 { self.name.clone() } else { format!("{} x {}", self.name, self.budget) }
     }
 
