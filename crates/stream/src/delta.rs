@@ -45,10 +45,14 @@ fn gated(target: f64, predicted: i32) -> i32 {
 }
 
 /// The changes of harmonics that are worth sending.
-pub(crate) fn changed_harmonics(target: &Measures, sent: &[i16; MAX_HARMONICS]) -> [i16; MAX_HARMONICS] {
+pub(crate) fn changed_harmonics(
+    target: &Measures,
+    sent: &[i16; MAX_HARMONICS],
+    steps: &Steps,
+) -> [i16; MAX_HARMONICS] {
     let mut change = target.harmonics;
     change.iter_mut().zip(sent).for_each(|(c, &sent)| *c -= f64::from(sent));
-    choose(&change, HARMONIC_CHANGE * target.price)
+    choose(&change, steps.harmonics(), HARMONIC_CHANGE * target.price)
 }
 
 /// The row that a group's motion predicts: position and rotation move with it, all else stays.
@@ -81,7 +85,7 @@ impl Residual {
             scales: three(target.scales, predicted.scales),
             opacity: gated(target.opacity, predicted.opacity),
             colour: three(target.colour, predicted.colour),
-            harmonics: changed_harmonics(target, &predicted.harmonics),
+            harmonics: changed_harmonics(target, &predicted.harmonics, steps),
         }
     }
 

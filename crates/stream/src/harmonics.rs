@@ -116,12 +116,12 @@ fn bits(value: f64) -> f64 {
     if value == 0.0 { zero } else { one + doubling * value.abs().log2() }
 }
 
-/// The integers for `values` (in steps) that are best when a bit must take away `price` (squared steps) of error: each value is
+/// The integers for the first `count` of `values` (in steps) that are best when a bit must take away `price` (squared steps) of error: each value is
 /// rounded, or less, or 0; and all are 0 where that is better.
-pub(crate) fn choose(values: &[f64; MAX_HARMONICS], price: f64) -> [i16; MAX_HARMONICS] {
+pub(crate) fn choose(values: &[f64; MAX_HARMONICS], count: usize, price: f64) -> [i16; MAX_HARMONICS] {
     let mut out = [0; MAX_HARMONICS];
     let mut gain = 0.0;
-    for (out, &value) in out.iter_mut().zip(values) {
+    for (out, &value) in out.iter_mut().zip(values).take(count) {
         let nearest = (value.abs() + 0.5).floor().min(MOST);
         let cost = |q: f64| (value.abs() - q).powi(2) + price * bits(q);
         let mut best = (cost(0.0), 0.0);
@@ -170,7 +170,7 @@ mod tests {
     fn nothing_is_cheaper_than_what_is_chosen() {
         let values = values();
         for price in [0.01, 0.1, 0.5, 2.0] {
-            let chosen = choose(&values, price);
+            let chosen = choose(&values, MAX_HARMONICS, price);
             let best = cost(&values, &chosen, price);
             assert!(best <= cost(&values, &[0; MAX_HARMONICS], price));
             for k in 0..MAX_HARMONICS {
@@ -187,10 +187,14 @@ mod tests {
     fn free_bits_round_and_dear_ones_leave_all_out() {
         let values = values();
         let rounded = values.map(|v| v.round() as i16);
-        assert_eq!(choose(&values, 0.0), rounded);
-        assert_eq!(choose(&values, 100.0), [0; MAX_HARMONICS]);
+        assert_eq!(choose(&values, MAX_HARMONICS, 0.0), rounded);
+        assert_eq!(choose(&values, MAX_HARMONICS, 100.0), [0; MAX_HARMONICS]);
+        // 1.1 steps are worth 4 bits, but not those of 44 zeros beside them.
+        let mut one = [0.0; MAX_HARMONICS];
+        one[0] = 1.1;
+        assert_eq!([9, MAX_HARMONICS].map(|count| choose(&one, count, 0.12)[0]), [1, 0]);
         assert_eq!(
-            choose(&values.map(|v| v * 1e9), 0.0).map(i16::abs),
+            choose(&values.map(|v| v * 1e9), MAX_HARMONICS, 0.0).map(i16::abs),
             values.map(|v| if v == 0.0 { 0 } else { 8191 })
         );
     }

@@ -53,7 +53,7 @@ fn counted(counts: &[usize], motions: &[Motion], coder: Encoder) -> Vec<u8> {
 pub(crate) fn encode_colours(rows: &mut [Row], steps: &Steps, target: impl Fn(usize) -> Measures) -> Vec<u8> {
     let (mut coder, mut models) = (Encoder::new(), ColourModels::default());
     for (i, row) in rows.iter_mut().enumerate() {
-        let change = ColourChange::of(&target(i), row);
+        let change = ColourChange::of(&target(i), row, steps);
         models.code(&mut coder, steps, &change).apply(row);
     }
     coder.finish()
@@ -81,11 +81,11 @@ impl Default for ColourChange {
 
 impl ColourChange {
     /// What is worth sending: all three channels when one has changed enough.
-    fn of(target: &Measures, row: &Row) -> Self {
+    fn of(target: &Measures, row: &Row, steps: &Steps) -> Self {
         let change = [0, 1, 2].map(|k| target.colour[k] - f64::from(row.colour[k]));
         let sent = change.iter().any(|c| c.abs() >= GATE);
         let colour = if sent { change.map(round) } else { [0; 3] };
-        Self { colour, harmonics: changed_harmonics(target, &row.harmonics) }
+        Self { colour, harmonics: changed_harmonics(target, &row.harmonics, steps) }
     }
 
     fn apply(&self, row: &mut Row) {

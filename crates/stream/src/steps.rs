@@ -235,7 +235,7 @@ impl Row {
             scales,
             opacity: round(m.opacity).clamp(0, steps.opacity),
             colour: m.colour.map(round),
-            harmonics: choose(&m.harmonics, m.price),
+            harmonics: choose(&m.harmonics, steps.harmonics(), m.price),
             group,
         }
     }
