@@ -58,11 +58,12 @@ fn harmless(text: &str) -> String {
     if text.contains(commands) { text.chars().map(shown).collect() } else { text.to_owned() }
 }
 
-/// A bar on the error stream, hidden when `quiet` or when it is no terminal.
+/// A bar on the error stream, hidden when `quiet` or when it is no terminal; its message comes last.
 pub fn progress(quiet: bool, what: &'static str, count: usize) -> ProgressBar {
     let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let bar = ProgressBar::with_draw_target(Some(count as u64), target).with_prefix(what);
-    let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left");
+    let style =
+        ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {elapsed} passed, {eta} left  {msg}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar
 }

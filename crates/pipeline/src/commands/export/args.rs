@@ -13,10 +13,10 @@ use std::path::PathBuf;
 #[command(
     long_about = "Writes a finished run, or one that still goes on, as splat files for other players, one per frame. \
         This program trains with the opacity compensation of Mip-Splatting, which ordinary viewers do not have: there \
-        the files of the run lose 3 to 9 dB. An export is therefore baked: opacities, scales and colours are fitted \
-        to plain viewers, which brings about half of that back; --measure tells. --native leaves the Gaussians as they are, for players that compensate \
-        (Brush, SuperSplat with antialiasing). A run with `first_frame.antialiased = false` is trained as \
-        ordinary viewers draw: its export needs no fitting and loses nothing. Files that exist are kept, so an interrupted export goes on.",
+        the files of the run lose 3 to 9 dB. An export is therefore baked: everything is fitted so that ordinary viewers \
+        show what the run's own renders show, from its cameras and from between them. Little of the quality is lost then, except \
+        where cameras stand at very different distances; --measure tells. --native leaves the Gaussians as they are, for players \
+        that compensate (Brush, SuperSplat with antialiasing). Files that exist are kept, so an interrupted export goes on.",
     after_help = export_examples()
 )]
 pub struct ExportArgs {
@@ -38,7 +38,7 @@ pub struct ExportArgs {
     #[arg(long)]
     pub native: bool,
     /// Steps that fit the first frame to plain viewers; later frames take a third of them
-    #[arg(long, value_name = "N", default_value_t = 600, conflicts_with = "native")]
+    #[arg(long, value_name = "N", default_value_t = 2000, conflicts_with = "native")]
     pub bake_iterations: usize,
     /// Also compare renders of the export with the run's own, in the test views
     #[arg(long)]

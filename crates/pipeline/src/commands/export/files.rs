@@ -77,7 +77,8 @@ struct Export<'a> {
 impl Export<'_> {
     fn frames(&self, frames: &[usize]) -> Result<Vec<Measurement>> {
         let bar = progress(self.args.log.quiet, "frames", frames.len());
-        let mut baker = Baker::new(&self.run, frames[0], self.args.bake_iterations);
+        let show = |text| bar.set_message(text);
+        let mut baker = Baker::new(&self.run, frames[0], self.args.bake_iterations, &show);
         let mut measured = Vec::new();
         for &frame in frames {
             if self.args.measure || !self.is_written(frame) {

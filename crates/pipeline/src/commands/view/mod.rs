@@ -112,11 +112,11 @@ fn follow(folder: &Path, stream: &Path) {
     let options = StreamOptions { uncertainty: true, ..StreamOptions::default() };
     let (mut export, mut said) = (None, String::new());
     loop {
-        // A run without a finished frame, or with one that cannot be read yet, is looked at again.
+        // A run without a finished frame is looked at again.
         if let Err(error) = catch_up(&mut export, folder, stream, &options) {
             let text = format!("{error:#}");
-            if text != said {
-                tracing::debug!("{text}");
+            if text != said && FinishedRun::open(folder).is_ok() {
+                tracing::warn!("the page gets no further frames: {text}");
             }
             said = text;
         }
