@@ -11,7 +11,8 @@ use std::collections::HashMap;
 /// The share of the first frame's steps that a later frame takes: only what changed is fitted there.
 const LATER_SHARE: usize = 3;
 
-/// Bakes frames, the first one first. What the static layer gets in a frame it keeps.
+/// Bakes frames, the first one first. What the static layer gets in a frame it keeps; an export that goes on after an interruption
+/// fits what changed since the first frame once more.
 pub(crate) struct Baker<'a> {
     run: &'a FinishedRun,
     first: usize,
