@@ -52,7 +52,7 @@ impl FitConfig {
     }
 }
 
-/// A target is seen so many times. Few targets that are seen more often are learnt by heart: with those of ten cameras alone the views
+/// A target is seen so many times. Few targets that are seen more often are overfitted: with those of ten cameras alone the views
 /// between them lose 1 dB (docs/adr/0023).
 const VISITS: usize = 4;
 /// Pixels of all targets together at most, which bounds their memory (1 GB); the cameras themselves are always among them.

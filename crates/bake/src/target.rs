@@ -1,16 +1,15 @@
 //! What a baked export shall look like: renders of what was trained.
 
-use ffgs_core::{Camera, Gaussians, ImageRgb8, Mask, PlanarImage, Scene, TrainingView};
+use ffgs_core::{Camera, Gaussians, ImageRgb8, Mask, Scene, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
-use ffgs_trainer::SkyView;
+use ffgs_trainer::sky_picture;
 
-/// Opacity of what is fitted from which a pixel counts as its.
+/// Opacity from which a pixel belongs to the mask of what is fitted.
 const SHOWS: f32 = 0.1;
 
-/// The trained scene as `camera` sees it, with a mask of where `fitted` would show if nothing stood before it; of everything without.
+/// The trained scene as `camera` sees it. The mask is where `fitted` would show if nothing stood before it; without `fitted` it is the whole image.
 pub(crate) fn target(scene: &Scene, fitted: Option<&Gaussians>, camera: &Camera) -> TrainingView {
-    let mut sky = PlanarImage::zeros(camera.size());
-    SkyView::new(camera, scene.sky.face_size()).render(&scene.sky, &mut sky);
+    let sky = sky_picture(&scene.sky, camera);
     let view = View { camera, background: Background::Image(&sky), tiles: None };
     let (rasterizer, mut tape) = (CpuRasterizer::default(), RenderTape::default());
     rasterizer.render_layers(&scene.layers(), &view, &mut tape);

@@ -1,6 +1,5 @@
 //! Training and rendering on the device of a run: each function picks the CPU or a GPU.
 
-use crate::sky::sky_picture;
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
@@ -8,7 +7,7 @@ use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
     BackgroundConfig, BirthConfig, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
     FirstFrame, FirstFrameConfig, Newborn, Progress, StaticColours, StaticLane, StaticTargets, Surroundings,
-    train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
+    sky_picture, train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use std::sync::Arc;

@@ -29,4 +29,3 @@ pub use exposures::Exposures;
 pub use first_training::{Earlier, FirstViews};
 pub use monitor::{Monitor, Report, Silent};
 pub use reconstructor::{Reconstructor, State};
-pub use sky::sky_picture;

@@ -1,14 +1,7 @@
-//! The sky of a scene: whether there is one, and what a camera sees of it.
+//! Whether a scene has a sky.
 
-use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube, TrainingView};
-use ffgs_trainer::{SkyView, shows_sky};
-
-/// What a camera sees of the sky of a run: sRGB, 0..=1.
-pub fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
-    let mut picture = PlanarImage::zeros(camera.size());
-    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
-    picture
-}
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use ffgs_trainer::shows_sky;
 
 /// The sky, or one colour where no view shows any. Indoors no sky is seen; what frame 0 made of it would show as soon as something
 /// before it moves.

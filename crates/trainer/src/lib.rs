@@ -52,7 +52,7 @@ pub use natural::{Curvature, Damping};
 pub use prior::{Drift, KINDS, Kind, Prior};
 pub use resolution::ResolutionConfig;
 pub use schedule::{Epochs, Schedule, decay};
-pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients};
+pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients, sky_picture};
 pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::{ColourVariance, StaticColours, StaticLane, StaticTargets};
 pub use view::{Progress, camera_extent};

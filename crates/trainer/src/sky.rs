@@ -88,6 +88,13 @@ impl TexelGradients {
     }
 }
 
+/// What a camera sees of a sky: sRGB, 0..=1.
+pub fn sky_picture(sky: &SkyCube, camera: &Camera) -> PlanarImage {
+    let mut picture = PlanarImage::zeros(camera.size());
+    SkyView::new(camera, sky.face_size()).render(sky, &mut picture);
+    picture
+}
+
 /// Which texels every pixel of a camera sees: 12 bytes per pixel. Depends on the camera's rotation only, and is made anew
 /// for each view in a fraction of a render: keep one and aim it.
 #[derive(Clone, Debug, PartialEq)]

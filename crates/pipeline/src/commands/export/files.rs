@@ -12,6 +12,7 @@ use ffgs_core::{Gaussians, Scene, spatial_order};
 use ffgs_method::{SplatWriter, Splats};
 use ffgs_splats::write_sky_equirectangular;
 use serde::{Deserialize, Serialize};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 /// `export.json`: what the files of a folder are.
@@ -93,6 +94,9 @@ impl Export<'_> {
                 }
             }
             bar.inc(1);
+            if !self.args.log.quiet && !std::io::stderr().is_terminal() {
+                terminal::note(format_args!("frame {frame}: {} of {}", bar.position(), frames.len()));
+            }
         }
         bar.finish_and_clear();
         Ok(measured)

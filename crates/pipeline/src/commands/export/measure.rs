@@ -6,8 +6,9 @@ use anyhow::Result;
 use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
 use ffgs_metrics::mpsnr;
-use ffgs_reconstruction::{Exposures, sky_picture};
+use ffgs_reconstruction::Exposures;
 use ffgs_splats::Panorama;
+use ffgs_trainer::sky_picture;
 use serde::{Deserialize, Serialize};
 
 /// Transmittance below which a pixel of the run's own render counts as opaque.
