@@ -9,8 +9,7 @@ mod ssim;
 pub use flicker::{Seen, flicker, masked_flicker};
 pub use psnr::{mpsnr, psnr};
 pub use ssim::{
-    Border, LossAndGradient, SsimError, SsimPair, WINDOW, image_ssim, loss_3dgs, masked_ssim, ssim,
-    ssim_and_gradient,
+    Border, LossAndGradient, SsimError, SsimMap, SsimPair, WINDOW, loss_3dgs, ssim, ssim_and_gradient,
 };
 
 use ffgs_core::ImageSize;

@@ -116,9 +116,8 @@ pub struct LossAndGradient {
 /// When the window does not fit into the images.
 pub fn ssim(images: SsimPair<'_>, border: Border) -> Result<f64, SsimError> {
     let count = images.map_size(border)?;
-    let sums: Vec<f64> =
-        (0..images.shape[0]).into_par_iter().map(|c| images.channel(c).sum_of_map(border)).collect();
-    Ok(sums.iter().sum::<f64>() / count as f64)
+    let sums = (0..images.shape[0]).map(|c| images.channel(c).map(border).iter().sum::<f64>());
+    Ok(sums.sum::<f64>() / count as f64)
 }
 
 /// Mean SSIM with its map and its gradient with respect to the rendered image.
@@ -151,44 +150,49 @@ pub fn loss_3dgs(images: SsimPair<'_>) -> Result<LossAndGradient, SsimError> {
     Ok(LossAndGradient { value: (1.0 - LAMBDA) * l1 + LAMBDA * (1.0 - value), gradient, map })
 }
 
-/// Mean SSIM ([`Border::Same`]) of a render, clamped to [0, 1] (NaN counts as 0), against an 8-bit target.
-///
-/// # Errors
-/// When the images differ in size.
-pub fn image_ssim(rendered: &PlanarImage, target: &ImageRgb8) -> Result<f64, SizeMismatch> {
-    same_size(rendered.size(), target.size())?;
-    let ImageSize { width, height } = rendered.size();
-    let (clamped, target) = (clamped(rendered), PlanarImage::from(target));
-    let pair = SsimPair { shape: [3, height, width], rendered: &clamped, target: target.data() };
-    // Equal sizes with at least one pixel: `Border::Same` cannot fail.
-    Ok(ssim(pair, Border::Same).unwrap_or(0.0))
+/// SSIM ([`Border::Same`]) of a render, clamped to [0, 1] (NaN counts as 0), against an 8-bit target, at every pixel.
+#[derive(Clone, Debug)]
+pub struct SsimMap {
+    size: ImageSize,
+    /// (H, W) of each channel.
+    channels: [Vec<f64>; 3],
 }
 
-/// [`image_ssim`] over the pixels of `mask`; `None` for an empty mask. The windows of pixels at its edge reach beyond it.
-///
-/// # Errors
-/// When images and mask differ in size.
-pub fn masked_ssim(
-    rendered: &PlanarImage,
-    target: &ImageRgb8,
-    mask: &Mask,
-) -> Result<Option<f64>, SizeMismatch> {
-    same_size(rendered.size(), target.size())?;
-    same_size(rendered.size(), mask.size())?;
-    let masked = mask.count();
-    if masked == 0 {
-        return Ok(None);
+impl SsimMap {
+    /// Compares the images.
+    ///
+    /// # Errors
+    /// When they differ in size.
+    pub fn new(rendered: &PlanarImage, target: &ImageRgb8) -> Result<Self, SizeMismatch> {
+        let size = rendered.size();
+        same_size(size, target.size())?;
+        let (clamped, target) = (clamped(rendered), PlanarImage::from(target));
+        let shape = [3, size.height, size.width];
+        let pair = SsimPair { shape, rendered: &clamped, target: target.data() };
+        Ok(Self { size, channels: [0, 1, 2].map(|c| pair.channel(c).map(Border::Same)) })
     }
-    let ImageSize { width, height } = rendered.size();
-    let (clamped, target) = (clamped(rendered), PlanarImage::from(target));
-    let pair = SsimPair { shape: [3, height, width], rendered: &clamped, target: target.data() };
-    let sum = |c: usize| -> f64 {
-        let moments = pair.channel(c).moments();
-        let pixels = (0..width * height).filter(|&pixel| mask.data()[pixel] != 0);
-        pixels.map(|pixel| moments.at(pixel).ssim).sum()
-    };
-    let sums: Vec<f64> = (0..3).into_par_iter().map(sum).collect();
-    Ok(Some(sums.iter().sum::<f64>() / (3 * masked) as f64))
+
+    /// Mean over all pixels.
+    pub fn mean(&self) -> f64 {
+        self.mean_of(self.size.pixels(), |_| true)
+    }
+
+    /// Mean over the pixels of `mask`; `None` for an empty mask. The windows of pixels at its edge reach beyond it.
+    ///
+    /// # Errors
+    /// When the mask has another size.
+    pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, SizeMismatch> {
+        same_size(self.size, mask.size())?;
+        let count = mask.count();
+        Ok((count > 0).then(|| self.mean_of(count, |pixel| mask.data()[pixel] != 0)))
+    }
+
+    /// Mean over the `count` pixels that count.
+    fn mean_of(&self, count: usize, counts: impl Fn(usize) -> bool) -> f64 {
+        let sum =
+            |map: &Vec<f64>| map.iter().enumerate().filter(|(p, _)| counts(*p)).map(|(_, s)| s).sum::<f64>();
+        self.channels.iter().map(sum).sum::<f64>() / (3 * count) as f64
+    }
 }
 
 fn clamped(image: &PlanarImage) -> Vec<f32> {
@@ -219,9 +223,11 @@ struct Local {
 }
 
 impl Channel<'_> {
-    fn sum_of_map(&self, border: Border) -> f64 {
-        let moments = self.moments();
-        self.inside(border).map(|i| moments.at(i).ssim).sum()
+    fn map(&self, border: Border) -> Vec<f64> {
+        let (moments, margin, width) = (self.moments(), border.margin(), self.width);
+        let row = |y: usize| (y * width + margin..(y + 1) * width - margin).into_par_iter();
+        let rows = (margin..self.height - margin).into_par_iter();
+        rows.flat_map(row).map(|i| moments.at(i).ssim).collect()
     }
 
     /// The map, and the gradient of its sum. The window is symmetric and the padding zero, so the adjoint of the
@@ -265,21 +271,24 @@ impl Channel<'_> {
 
     /// Convolution with the window, zero outside the image.
     fn filter(&self, plane: &[f64]) -> Vec<f64> {
-        let taps = window();
+        let (taps, width) = (window(), self.width);
         let mut rows = vec![0.0; plane.len()];
-        for (out, row) in rows.chunks_exact_mut(self.width).zip(plane.chunks_exact(self.width)) {
-            for (x, out) in out.iter_mut().enumerate() {
-                *out = reach(x, self.width).map(|j| taps[j + RADIUS - x] * row[j]).sum();
+        rows.par_chunks_exact_mut(width).zip(plane.par_chunks_exact(width)).for_each(|(out, row)| {
+            for (t, tap) in taps.iter().enumerate() {
+                // Pixel x takes this tap of its neighbour x + t - RADIUS, where the row has one.
+                let out = out.get_mut(RADIUS.saturating_sub(t)..).unwrap_or_default();
+                let source = row.get(t.saturating_sub(RADIUS)..).unwrap_or_default();
+                out.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
             }
-        }
+        });
         let mut out = vec![0.0; plane.len()];
-        for (y, line) in out.chunks_exact_mut(self.width).enumerate() {
+        out.par_chunks_exact_mut(width).enumerate().for_each(|(y, line)| {
             for j in reach(y, self.height) {
                 let tap = taps[j + RADIUS - y];
-                let source = &rows[j * self.width..(j + 1) * self.width];
+                let source = &rows[j * width..(j + 1) * width];
                 line.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
             }
-        }
+        });
         out
     }
 }

@@ -2,7 +2,7 @@
 
 use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
 use ffgs_metrics::{
-    Border, LossAndGradient, SsimError, SsimPair, image_ssim, loss_3dgs, masked_ssim, ssim, ssim_and_gradient,
+    Border, LossAndGradient, SsimError, SsimMap, SsimPair, loss_3dgs, ssim, ssim_and_gradient,
 };
 use ffgs_testkit::{Case, case, largest_difference};
 
@@ -83,9 +83,9 @@ fn a_render_with_nan_has_a_finite_value() {
     let size = ImageSize { width: 13, height: 5 };
     let target = ImageRgb8::new(size, vec![90; 195]).unwrap();
     let mut rendered = PlanarImage::from(&target);
-    assert!((image_ssim(&rendered, &target).unwrap() - 1.0).abs() < 1e-12);
+    assert!((SsimMap::new(&rendered, &target).unwrap().mean() - 1.0).abs() < 1e-12);
     rendered.data_mut()[3] = f32::NAN;
-    let value = image_ssim(&rendered, &target).unwrap();
+    let value = SsimMap::new(&rendered, &target).unwrap().mean();
     assert!(value.is_finite() && value < 1.0);
 }
 
@@ -96,16 +96,17 @@ fn two_masks_that_make_up_the_image_make_up_its_value() {
         ImageRgb8::new(size, (0..3 * size.pixels()).map(|i| (i * 37 % 251) as u8).collect()).unwrap();
     let mut rendered = PlanarImage::from(&target);
     rendered.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v += (i % 7) as f32 / 40.0);
+    let map = SsimMap::new(&rendered, &target).unwrap();
     let part = |keep: &dyn Fn(usize) -> bool| {
         let mask = Mask::new(size, (0..size.pixels()).map(|i| u8::from(keep(i))).collect()).unwrap();
-        (masked_ssim(&rendered, &target, &mask).unwrap(), mask.count() as f64)
+        (map.mean_inside(&mask).unwrap(), mask.count() as f64)
     };
-    let whole = image_ssim(&rendered, &target).unwrap();
+    let whole = map.mean();
     let ((left, n), (right, m)) = (part(&|i| i % 16 < 5), part(&|i| i % 16 >= 5));
     let (left, right) = (left.unwrap(), right.unwrap());
     assert!((left - right).abs() > 1e-6, "parts of one value could not tell the mask: {left} {right}");
     assert!(((n * left + m * right) / (n + m) - whole).abs() < 1e-12);
     assert_eq!(part(&|_| false).0, None);
     let small = Mask::filled(ImageSize { width: 14, height: 16 }, true);
-    assert!(masked_ssim(&rendered, &target, &small).is_err());
+    assert!(map.mean_inside(&small).is_err());
 }

@@ -6,7 +6,7 @@ use crate::outputs::record::ViewMetrics;
 use anyhow::{Context, Result};
 use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_method::{Capture, Split, ViewAt};
-use ffgs_metrics::{image_ssim, masked_ssim, mpsnr, psnr};
+use ffgs_metrics::{SsimMap, mpsnr, psnr};
 use ffgs_reconstruction::Devices;
 use ffgs_reconstruction::Exposures;
 use ffgs_report::Thumbnails;
@@ -98,13 +98,14 @@ pub(crate) fn score(
         let name = &capture.views(Split::Test)[v];
         let picture = ImageRgb8::from(&rendered);
         write_png(&folder.join(format!("test/{name}.png")), &picture)?;
+        let ssim = SsimMap::new(&rendered, &truth.image)?;
         let metrics = ViewMetrics {
             camera: name.clone(),
             fixed: is_fixed(capture, v),
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
-            ssim: image_ssim(&rendered, &truth.image)?,
-            mssim: masked_ssim(&rendered, &truth.image, &truth.mask)?,
+            ssim: ssim.mean(),
+            mssim: ssim.mean_inside(&truth.mask)?,
             ..ViewMetrics::default()
         };
         let pictures = thumbnails.view(&truth.image, &picture)?.context("a render has its camera's size")?;

@@ -5,7 +5,7 @@ use super::input::{ANY, Input, narrow};
 use anyhow::{Result, ensure};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::{ImageRgb8, ImageSize, PlanarImage};
-use ffgs_metrics::{Border, LossAndGradient, SsimError, SsimPair, image_ssim, loss_3dgs, ssim_and_gradient};
+use ffgs_metrics::{Border, LossAndGradient, SsimError, SsimMap, SsimPair, loss_3dgs, ssim_and_gradient};
 use ffgs_trainer::{LossRegion, PhotometricLoss};
 
 /// Pixels that a map with `Border::Valid` is smaller by.
@@ -20,7 +20,7 @@ pub(super) fn run(input: &Input) -> Result<NpzWriter> {
     let mut gradient = PlanarImage::zeros(rendered.size());
     let loss = PhotometricLoss::new().evaluate(&rendered, &target, LossRegion::Full, &mut gradient);
     let mut results = NpzWriter::new();
-    results.f32("ssim", &[], &[image_ssim(&rendered, &target)? as f32]);
+    results.f32("ssim", &[], &[SsimMap::new(&rendered, &target)?.mean() as f32]);
     results.f32("loss", &[], &[loss.total as f32]);
     results.f32("loss_grad", &[3, height, width], gradient.data());
     Ok(results)
