@@ -1,8 +1,10 @@
 //! Information on every parameter in the photographs of a frame, and the noise of their pixels.
 
 use crate::background::SkyBehind;
+use crate::dynamic_lane::TILE_DILATION;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
-use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, TileMask, View};
+use std::ops::Range;
 
 /// Longest distance at which errors of pixels are compared (px).
 const MAX_LAG: usize = 6;
@@ -31,8 +33,9 @@ pub struct Gain {
     pub noise: PixelNoise,
 }
 
-/// The information that the views hold on the last of the `layers`, which are rendered together. Foreground and background
-/// have each their own noise in every view, so that a camera that fits badly counts less.
+/// The information that the views hold on the last of the `layers`, which are rendered together, in the tiles of the foreground:
+/// those in which it is trained. Foreground and background have each their own noise in every view, so that a camera that fits badly
+/// counts less; views without foreground tell nothing.
 pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingView]) -> Gain {
     let rasterizer = CpuRasterizer::default();
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
@@ -40,11 +43,12 @@ pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingV
         .last()
         .map_or_else(Information::default, |layer| Information::none(layer.len(), layer.sh_degree()));
     let mut foreground = Vec::new();
-    for view in views {
+    for view in views.iter().filter(|view| view.mask.count() > 0) {
+        let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION));
         let background = Background::Image(behind.render(sky, &view.camera));
-        let frame = View { camera: &view.camera, background, tiles: None };
+        let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
         rasterizer.render_layers(layers, &frame, &mut tape);
-        let errors = Errors::new(view, tape.image());
+        let errors = Errors::new(view, tape.image(), &tiles.pixel_runs(view.camera.size()));
         let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
         foreground.extend(inside.map(|noise| (noise, view.mask.count())));
         let weights = errors.weights([outside, inside]);
@@ -67,37 +71,43 @@ fn mean_noise(views: &[(PixelNoise, usize)]) -> PixelNoise {
 }
 
 /// Errors of a rendered view: photograph minus render.
-struct Errors<'a> {
+struct Errors {
     size: ImageSize,
     planes: PlanarImage,
-    mask: &'a [u8],
+    /// (pixels) 0 or 1 as in the mask; 2 where nothing was rendered.
+    regions: Vec<u8>,
 }
 
-impl<'a> Errors<'a> {
-    fn new(view: &'a TrainingView, rendered: &PlanarImage) -> Self {
+impl Errors {
+    /// In the pixels of `runs`.
+    fn new(view: &TrainingView, rendered: &PlanarImage, runs: &[Range<usize>]) -> Self {
         let mut planes = PlanarImage::from(&view.image);
         planes.data_mut().iter_mut().zip(rendered.data()).for_each(|(e, r)| *e -= r);
-        Self { size: view.camera.size(), planes, mask: view.mask.data() }
+        let mut regions = vec![2; view.mask.data().len()];
+        for run in runs {
+            regions[run.clone()].copy_from_slice(&view.mask.data()[run.clone()]);
+        }
+        Self { size: view.camera.size(), planes, regions }
     }
 
     /// Inverse variance of an independent value, pixel by pixel, given the noise outside and inside the mask.
     fn weights(&self, noise: [Option<PixelNoise>; 2]) -> Vec<f32> {
         let weight = |noise: PixelNoise| (1.0 / (noise.sigma.powi(2) * noise.correlated)) as f32;
         let of = noise.map(|noise| noise.map_or(0.0, weight));
-        self.mask.iter().map(|&m| of[usize::from(m != 0)]).collect()
+        self.regions.iter().map(|&region| of.get(usize::from(region)).copied().unwrap_or(0.0)).collect()
     }
 
     /// Noise outside (0) or inside (1) the mask; `None` without pixels.
     fn noise(&self, region: u8) -> Option<PixelNoise> {
-        let inside = |p: usize| u8::from(self.mask[p] != 0) == region;
-        let count = (0..self.mask.len()).filter(|&p| inside(p)).count();
+        let inside = |p: usize| self.regions[p] == region;
+        let count = (0..self.regions.len()).filter(|&p| inside(p)).count();
         if count == 0 {
             return None;
         }
         let squares: f64 = (0..3).map(|c| Self::products(self.planes.plane(c), 0, &inside).0).sum();
         let sizes = |c: usize| self.planes.plane(c).iter().enumerate().filter(|(p, _)| inside(*p));
         let absolute: f64 = (0..3).map(|c| sizes(c).map(|(_, e)| f64::from(e.abs())).sum::<f64>()).sum();
-        let grey: Vec<f32> = (0..self.mask.len()).map(|p| self.planes.pixel(p).iter().sum()).collect();
+        let grey: Vec<f32> = (0..self.regions.len()).map(|p| self.planes.pixel(p).iter().sum()).collect();
         let variance = Self::products(&grey, 0, &inside).0;
         let channels = variance / squares.max(f64::MIN_POSITIVE);
         let along = |stride: usize| 1.0 + 2.0 * Self::correlations(&grey, stride, &inside);
@@ -152,7 +162,7 @@ mod tests {
     fn noise(view: &TrainingView) -> PixelNoise {
         let mut flat = PlanarImage::zeros(SIZE);
         flat.data_mut().fill(128.0 / 255.0);
-        Errors::new(view, &flat).noise(0).unwrap()
+        Errors::new(view, &flat, &[0..SIZE.pixels()]).noise(0).unwrap()
     }
 
     #[test]
@@ -165,6 +175,24 @@ mod tests {
         // Blocks of 4 by 4 pixels: neighbours one, two, three on share it with probability 3/4, 1/2, 1/4.
         let blocks = noise(&view(|p, _| white(p % 96 / 4 + 24 * (p / 96 / 4))));
         assert!((blocks.correlated / 48.0).ln().abs() < 0.35, "{blocks:?}");
+    }
+
+    #[test]
+    fn what_was_not_rendered_counts_for_nothing() {
+        // Left of column 48 noise, right of it a photograph that has nothing to do with what the tape holds.
+        let view = view(|p, c| if p % 96 < 48 { white(3 * p + c) } else { 120 });
+        let mut flat = PlanarImage::zeros(SIZE);
+        flat.data_mut().fill(128.0 / 255.0);
+        let left: Vec<Range<usize>> = (0..SIZE.height).map(|y| y * 96..y * 96 + 48).collect();
+        let errors = Errors::new(&view, &flat, &left);
+        let noise = errors.noise(0).unwrap();
+        assert!((noise.sigma - SIGMA_OF_ABSOLUTE * 20.0 / 255.0).abs() < 1e-3, "{noise:?}");
+        assert!((noise.correlated - 1.0).abs() < 0.2, "{noise:?}");
+        assert_eq!(errors.noise(1), None, "no foreground");
+        let weights = errors.weights([Some(noise); 2]);
+        assert!((0..SIZE.pixels()).all(|p| (weights[p] > 0.0) == (p % 96 < 48)));
+        let everything = Errors::new(&view, &flat, &[0..SIZE.pixels()]).noise(0).unwrap();
+        assert!(everything.sigma > 2.0 * noise.sigma, "the test could tell: {everything:?}");
     }
 
     #[test]
