@@ -49,8 +49,9 @@ impl CpuRasterizer {
         compose(view, tape);
     }
 
-    /// Projects, sorts and assigns to tiles: everything before blending.
-    pub(crate) fn prepare(&self, layers: &[&Gaussians], view: &View, tape: &mut RenderTape) {
+    /// Projects, sorts and assigns to tiles: everything before blending. `tape` then knows which Gaussians are visible and how deep the tiles
+    /// are; it holds no image.
+    pub fn prepare(&self, layers: &[&Gaussians], view: &View, tape: &mut RenderTape) {
         self.prepare_within(layers, None, view, tape);
     }
 

@@ -1,26 +1,28 @@
 //! The fixed surroundings of a layer under training, rendered for a view.
 
 use super::cut::Cut;
+use crate::backend::TaskView;
 use crate::background::SkyBehind;
 use crate::sky::sky_share;
 use crate::{AdamVec, SKY_DOUBT, TexelGradients, Update};
-use ffgs_core::{Camera, PlanarImage, SkyCube};
+use ffgs_core::{PlanarImage, SkyCube};
 use ffgs_rasterizer::PixelGradients;
 
 /// [`crate::Around`] with the view at hand.
 pub(super) enum Surrounding<'a> {
     Sky(&'a SkyCube, SkyBehind),
     Trained(Box<TrainedSky<'a>>),
-    Cut(Box<Cut>),
+    Cut(Box<Cut<'a>>),
 }
 
 impl Surrounding<'_> {
     /// Turns to a view.
-    pub(crate) fn aim(&mut self, index: usize, camera: &Camera) {
+    pub(crate) fn aim(&mut self, index: usize, task: &TaskView) {
+        let camera = &task.view.camera;
         match self {
             Self::Sky(sky, behind) => behind.aim(sky, camera),
             Self::Trained(sky) => sky.behind.aim(sky.sky, camera),
-            Self::Cut(cut) => cut.aim(index),
+            Self::Cut(cut) => cut.aim(index, task),
         }
     }
 

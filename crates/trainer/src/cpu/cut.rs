@@ -25,8 +25,12 @@ struct CutView {
 }
 
 /// The cut views, and images in which the one at hand is laid out.
-pub(super) struct Cut {
-    views: Vec<CutView>,
+pub(super) struct Cut<'a> {
+    maker: Maker<'a>,
+    /// Depth of the layer in each view, as it was at the start.
+    depths: Vec<TileDepths>,
+    /// Those that were at hand so far.
+    views: Vec<Option<CutView>>,
     size: Option<ImageSize>,
     /// Of the view at hand, meaningful in its computed tiles.
     behind: PlanarImage,
@@ -35,27 +39,34 @@ pub(super) struct Cut {
     penalty: Vec<f32>,
 }
 
-impl Cut {
-    /// Draws every view once. Counts in `seen` the views that see each Gaussian of `layer`.
+impl<'a> Cut<'a> {
+    /// Finds where each view is to be cut; a view is cut when it is first at hand, as a training with fewer steps than views
+    /// needs some of them only. Counts in `seen` the views that see each Gaussian of `layer`.
     pub(crate) fn new(
-        layers: CutLayers,
+        layers: CutLayers<'a>,
         layer: &Gaussians,
         views: &[TaskView],
         rasterizer: CpuRasterizer,
         seen: &mut [u32],
     ) -> Self {
-        let mut maker =
-            Maker { layers, layer, rasterizer, tape: RenderTape::default(), sky: SkyBehind::new(), seen };
-        let mut split = SplitLayers::default();
-        let views = views.iter().map(|view| maker.view(view, &mut split)).collect();
+        let mut maker = Maker {
+            layers,
+            rasterizer,
+            tape: RenderTape::default(),
+            sky: SkyBehind::new(),
+            split: SplitLayers::default(),
+        };
+        let depths = views.iter().map(|view| maker.depths(view, layer, seen)).collect();
         let one = ImageSize { width: 1, height: 1 };
         let [behind, image] = [(); 2].map(|()| PlanarImage::zeros(one));
-        Self { views, size: None, behind, image, penalty: Vec::new() }
+        let views = views.iter().map(|_| None).collect();
+        Self { maker, depths, views, size: None, behind, image, penalty: Vec::new() }
     }
 
     /// Lays what is cut of a view into images of its size.
-    pub(crate) fn aim(&mut self, index: usize) {
-        let view = &self.views[index];
+    pub(crate) fn aim(&mut self, index: usize, task: &TaskView) {
+        let Self { maker, depths, views, .. } = self;
+        let view = views[index].get_or_insert_with(|| maker.view(task, &depths[index]));
         let size = view.region.size();
         if self.size != Some(size) {
             self.behind.reset(size);
@@ -89,9 +100,9 @@ impl Cut {
         &self.penalty
     }
 
-    /// `front + T_front * drawn`, drawn = the layer over what is behind it.
+    /// `front + T_front * drawn`, drawn = the layer over what is behind it, in the view at hand.
     pub(crate) fn compose(&mut self, index: usize, drawn: &PlanarImage) -> &PlanarImage {
-        let view = &self.views[index];
+        let Some(view) = &self.views[index] else { return &self.image };
         let pixels = view.transmittance.len();
         for_each_run(&mut self.image, &view.runs, |channel, run, at, out| {
             let front = &view.front[channel * pixels..][at.clone()];
@@ -106,7 +117,7 @@ impl Cut {
 
     /// From the derivative by the composed image to that by the layer's own.
     pub(crate) fn through_front(&self, index: usize, gradient: &mut PlanarImage) {
-        let view = &self.views[index];
+        let Some(view) = &self.views[index] else { return };
         for_each_run(gradient, &view.runs, |_, _, at, gradient| {
             gradient.iter_mut().zip(&view.transmittance[at]).for_each(|(g, &t)| *g *= t);
         });
@@ -116,23 +127,28 @@ impl Cut {
 /// Makes cut views, one after another in the same memory.
 struct Maker<'a> {
     layers: CutLayers<'a>,
-    layer: &'a Gaussians,
     rasterizer: CpuRasterizer,
     tape: RenderTape,
     sky: SkyBehind,
-    seen: &'a mut [u32],
+    split: SplitLayers,
 }
 
 impl Maker<'_> {
-    fn view(&mut self, task: &TaskView, split: &mut SplitLayers) -> CutView {
+    /// Where a view is to be cut. Counts the Gaussians of `layer` that it sees.
+    fn depths(&mut self, task: &TaskView, layer: &Gaussians, seen: &mut [u32]) -> TileDepths {
+        let camera = &task.view.camera;
+        let frame = View { camera, background: Background::Colour([0.0; 3]), tiles: task.tiles.as_ref() };
+        self.rasterizer.prepare(&[layer], &frame, &mut self.tape);
+        self.tape.visible_indices().for_each(|i| seen[i] += 1);
+        TileDepths::nearest(&self.tape)
+    }
+
+    fn view(&mut self, task: &TaskView, depths: &TileDepths) -> CutView {
         let TaskView { view, region, tiles } = task;
-        let camera = &view.camera;
+        let (camera, split) = (&view.camera, &mut self.split);
         let background = Background::Image(self.sky.render(self.layers.sky, camera));
         let frame = View { camera, background, tiles: tiles.as_ref() };
-        self.rasterizer.render(self.layer, &frame, &mut self.tape);
-        self.tape.visible_indices().for_each(|i| self.seen[i] += 1);
-        let depths = TileDepths::nearest(&self.tape);
-        self.rasterizer.render_split(self.layers.static_layer, &frame, &depths, &mut self.tape, split);
+        self.rasterizer.render_split(self.layers.static_layer, &frame, depths, &mut self.tape, split);
         let runs = pixel_runs(tiles.as_ref(), camera.size());
         let region = region.clone().unwrap_or_else(|| Mask::filled(camera.size(), true));
         let outside_alpha = self.layers.outside_alpha / view.mask.count() as f32;

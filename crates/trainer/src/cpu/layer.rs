@@ -95,7 +95,7 @@ impl Training for CpuLayer<'_> {
         self.at = index;
         self.rasterizer = CpuRasterizer::new(options);
         let TaskView { view, region, tiles } = &self.views[index];
-        self.around.aim(index, &view.camera);
+        self.around.aim(index, &self.views[index]);
         let background = Background::Image(self.around.behind());
         let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
         self.rasterizer.render(self.layer, &frame, &mut self.tape);
