@@ -162,6 +162,7 @@ impl Evaluation {
             views: &self.views,
             before: &before,
             now: &now,
+            reduction: self.config.resolution.dynamic(&moving, &now),
             tracks: &self.tracks,
         };
         let input = MotionInput {

@@ -112,7 +112,16 @@ impl World {
         let (before, now) = (self.views(frame - 1), self.views(frame));
         let views: Vec<usize> = (0..VIEWS).collect();
         let tracks = &[];
-        work(&Step { frame, seed: 1, capture: &capture, views: &views, before: &before, now: &now, tracks })
+        work(&Step {
+            frame,
+            seed: 1,
+            capture: &capture,
+            views: &views,
+            before: &before,
+            now: &now,
+            reduction: 1,
+            tracks,
+        })
     }
 
     /// How far the Gaussians of the body are from where they are at `frame` (m): root mean square, and of their mean.

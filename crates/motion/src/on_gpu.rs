@@ -165,6 +165,7 @@ mod tests {
             views: &views,
             before: &now,
             now: &now,
+            reduction: 1,
             tracks: &tracks,
         };
         let trackers = || tracks.iter().map(AsRef::as_ref).collect::<Vec<&dyn TrackSource>>();

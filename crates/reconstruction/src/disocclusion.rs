@@ -3,6 +3,7 @@
 
 use crate::marking::cameras_and_masks;
 use crate::reconstructor::{Reconstructor, State};
+use crate::reduced::Reduced;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, stage};
 use ffgs_fusion::{ViewCounts, count_views};
@@ -87,6 +88,8 @@ impl Reconstructor<'_> {
         let in_the_open =
             |i: &usize| scene.hidden[*i] > 0 && open(*i) >= LEAST_OPEN.min(counts[*i].seen).max(1);
         let gaussians: Vec<usize> = (0..counts.len()).filter(in_the_open).collect();
+        let found = scene.static_layer.select(&gaussians);
+        let views = &Reduced::new(views, self.config.resolution.static_layer(&found, views)).views;
         let what =
             Disoccluded { gaussians: &gaussians, moving: &scene.dynamic.gaussians, views, sky: &scene.sky };
         let (config, seed) = (&self.config.disocclusion, self.seed(frame));

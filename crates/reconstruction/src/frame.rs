@@ -66,7 +66,7 @@ impl Reconstructor<'_> {
         let keeps_stopped = self.config.marking.second_chance && self.method.births();
         let moving = keeps_stopped.then(|| Moving::of(&state.scene.dynamic));
         let before = std::mem::take(&mut state.views);
-        let step = self.step(frame, &before, &now);
+        let step = self.step(frame, &state.scene, &before, &now);
         let prediction = self.method.predict(&step, &mut state.scene, log);
         prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
         state.scene.take_back();

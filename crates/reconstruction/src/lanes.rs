@@ -2,10 +2,10 @@
 
 use crate::knowledge::{self, Predicted};
 use crate::reconstructor::{Reconstructor, State};
+use crate::reduced::Reduced;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Scene, StageLog, TrainingView, stage};
+use ffgs_core::{Scene, StageLog, TrainingView, stage};
 use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, StaticColours, StaticTargets, Surroundings};
-use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -39,8 +39,8 @@ impl Reconstructor<'_> {
         let (before, mut passing) = (Arc::clone(&scene.static_layer), Vec::new());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
-        let [moving, standing] =
-            [&dynamic.gaussians, &static_start].map(|layer| self.as_fine_as(layer, views));
+        let moving = Reduced::new(views, config.resolution.dynamic(&dynamic.gaussians, views));
+        let standing = Reduced::new(views, config.resolution.static_layer(static_layer, views));
         let [reduced, _] = config.resolution.steps(dynamic_lane.iterations, moving.factor);
         let [on_reduced, on_whole] = dynamic_lane.cut(reduced);
         let show_dynamic = self.monitor.begin(stage::DYNAMIC, dynamic_lane.iterations);
@@ -80,22 +80,10 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) {
         let start = Instant::now();
-        let views = self.as_fine_as(&scene.dynamic.gaussians, views).views;
-        knowledge::learn(scene, predicted, &views);
+        let reduced = Reduced::new(views, self.config.resolution.dynamic(&scene.dynamic.gaussians, views));
+        knowledge::learn(scene, predicted, &reduced.views);
         log.since(stage::INFORMATION, start);
     }
-
-    /// The photographs, no larger than what `layer` can show.
-    fn as_fine_as<'v>(&self, layer: &Gaussians, views: &'v [TrainingView]) -> Reduced<'v> {
-        let factor = self.config.resolution.reduction(layer, views);
-        Reduced { factor, views: TrainingView::all_reduced(views, factor) }
-    }
-}
-
-/// Photographs whose pixels are blocks of `factor` times `factor` pixels.
-struct Reduced<'v> {
-    factor: usize,
-    views: Cow<'v, [TrainingView]>,
 }
 
 /// Ascending, of ascending numbers.

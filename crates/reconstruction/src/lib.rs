@@ -18,6 +18,7 @@ mod lanes;
 mod marking;
 mod monitor;
 mod reconstructor;
+mod reduced;
 mod sky;
 mod stops;
 #[cfg(test)]

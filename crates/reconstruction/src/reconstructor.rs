@@ -58,10 +58,11 @@ impl<'a> Reconstructor<'a> {
         format!("method {}: {what}", self.method_name)
     }
 
-    /// The step from `before` to `now`, the photographs of `frame`.
+    /// The step of `scene` from `before` to `now`, the photographs of `frame`.
     pub(crate) fn step<'s>(
         &self,
         frame: usize,
+        scene: &Scene,
         before: &'s [TrainingView],
         now: &'s [TrainingView],
     ) -> Step<'s>
@@ -69,6 +70,7 @@ impl<'a> Reconstructor<'a> {
         'a: 's,
     {
         let Self { capture, views, tracks, .. } = *self;
-        Step { frame, seed: self.config.seed, capture, views, before, now, tracks }
+        let reduction = self.config.resolution.dynamic(&scene.dynamic.gaussians, now);
+        Step { frame, seed: self.config.seed, capture, views, before, now, reduction, tracks }
     }
 }

@@ -13,30 +13,32 @@ const FINER_SHARE: f64 = 0.25;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ResolutionConfig {
-    /// Photographs are halved as often as the splats that cover three quarters of what a layer covers keep this standard deviation in
-    /// reduced pixels; 0 = they stay as they are.
+    /// Photographs that the dynamic layer is compared with are halved as often as the splats that cover three quarters of what it covers
+    /// keep this standard deviation in reduced pixels; 0 = they stay as they are.
     pub splat_px: f32,
+    /// Likewise of the static layer and the sky. Their shape stays, so colours alone have to answer for what a reduced render is off, and the
+    /// splats have to be larger.
+    pub static_splat_px: f32,
     /// Share of the dynamic lane's steps that are taken on whole photographs, at the end.
     pub whole_share: f32,
 }
 
 impl Default for ResolutionConfig {
     fn default() -> Self {
-        Self { splat_px: 0.0, whole_share: 0.1 }
+        Self { splat_px: 1.0, static_splat_px: 2.0, whole_share: 0.1 }
     }
 }
 
 impl ResolutionConfig {
     /// Side of the blocks of pixels, a power of two, that the photographs of `views` are reduced to where they are compared
-    /// with `layer`; 1 = not at all.
-    pub fn reduction(self, layer: &Gaussians, views: &[TrainingView]) -> usize {
-        let finest = fine_splat(layer, views).filter(|_| self.splat_px > 0.0);
-        let Some(finest) = finest else { return 1 };
-        let side = |view: &TrainingView| view.camera.size().width.min(view.camera.size().height);
-        let smallest = views.iter().map(side).min().unwrap_or(1);
-        let fits =
-            |factor: &usize| *factor <= smallest && finest >= f64::from(self.splat_px) * *factor as f64;
-        (1..usize::BITS).map(|halvings| 1 << halvings).take_while(fits).last().unwrap_or(1)
+    /// with `layer`, the dynamic one; 1 = not at all.
+    pub fn dynamic(self, layer: &Gaussians, views: &[TrainingView]) -> usize {
+        reduction(self.splat_px, layer, views)
+    }
+
+    /// Likewise with the static one.
+    pub fn static_layer(self, layer: &Gaussians, views: &[TrainingView]) -> usize {
+        reduction(self.static_splat_px, layer, views)
     }
 
     /// Of the `iterations` of the dynamic lane, those on reduced photographs and those on whole ones.
@@ -47,6 +49,15 @@ impl ResolutionConfig {
         let whole = (f64::from(self.whole_share) * iterations as f64).round() as usize;
         [iterations - whole.min(iterations), whole.min(iterations)]
     }
+}
+
+fn reduction(splat_px: f32, layer: &Gaussians, views: &[TrainingView]) -> usize {
+    let finest = fine_splat(layer, views).filter(|_| splat_px > 0.0);
+    let Some(finest) = finest else { return 1 };
+    let side = |view: &TrainingView| view.camera.size().width.min(view.camera.size().height);
+    let smallest = views.iter().map(side).min().unwrap_or(1);
+    let fits = |factor: &usize| *factor <= smallest && finest >= f64::from(splat_px) * *factor as f64;
+    (1..usize::BITS).map(|halvings| 1 << halvings).take_while(fits).last().unwrap_or(1)
 }
 
 /// Standard deviation (px) along their second largest axis, the finest of a disc, that the splats exceed which cover three
@@ -107,24 +118,22 @@ mod tests {
 
     #[test]
     fn the_reduction_follows_the_splats_and_the_pixels() {
-        let config = ResolutionConfig { splat_px: 1.0, ..ResolutionConfig::default() };
         let layer = discs(&[0.1, 0.1, 0.1, 1.3, 1.3, 1.3]);
-        let of = |factor| config.reduction(&layer, &[view(factor)]);
+        let of = |factor| reduction(1.0, &layer, &[view(factor)]);
         assert_eq!([1, 2, 4, 6, 8].map(of), [1, 2, 4, 4, 8]);
-        assert_eq!(config.reduction(&discs(&[0.4]), &[view(2)]), 1);
-        assert_eq!(config.reduction(&discs(&[1e4]), &[view(1)]), 32, "no more than the image has");
-        let off = ResolutionConfig { splat_px: 0.0, ..config };
-        assert_eq!(off.reduction(&layer, &[view(8)]), 1);
+        assert_eq!(reduction(1.0, &discs(&[0.4]), &[view(2)]), 1);
+        assert_eq!(reduction(1.0, &discs(&[1e4]), &[view(1)]), 32, "no more than the image has");
+        assert_eq!(reduction(2.0, &layer, &[view(8)]), 4, "twice as large splats are asked for");
+        assert_eq!(reduction(0.0, &layer, &[view(8)]), 1, "off");
     }
 
     #[test]
     fn nothing_in_sight_reduces_nothing() {
-        let config = ResolutionConfig { splat_px: 1.0, ..ResolutionConfig::default() };
         let mut behind = discs(&[9.0]);
         behind.means[0][2] = -5.0;
         let none = Gaussians::zeros(0, 0);
-        assert_eq!([&behind, &none].map(|layer| config.reduction(layer, &[view(4)])), [1, 1]);
-        assert_eq!(config.reduction(&discs(&[9.0]), &[]), 1);
+        assert_eq!([&behind, &none].map(|layer| reduction(1.0, layer, &[view(4)])), [1, 1]);
+        assert_eq!(reduction(1.0, &discs(&[9.0]), &[]), 1);
     }
 
     #[test]

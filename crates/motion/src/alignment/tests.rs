@@ -112,6 +112,14 @@ fn the_true_motion_is_found_with_a_covariance_that_says_how_well() {
 }
 
 #[test]
+fn reduced_photographs_tell_it_too() {
+    let whole = photographs(8, &truth(), 0.0);
+    let (count, group) = aligned(&TrainingView::all_reduced(&whole, 2));
+    let [step, turn] = errors(&group);
+    assert!(count == 1 && step < 0.1 * PIXEL_M && turn < 0.006, "{step} m, {turn} rad");
+}
+
+#[test]
 fn a_change_of_exposure_is_no_motion() {
     let (count, group) = aligned(&photographs(8, &truth(), 0.1));
     let [step, turn] = errors(&group);

@@ -115,7 +115,7 @@ impl Config {
             first_frame: FirstFrameConfig { exposures: false, ..defaults.first_frame },
             birth: BirthConfig { iterations: 0, ..defaults.birth },
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
-            resolution: ResolutionConfig { splat_px: 0.0, ..defaults.resolution },
+            resolution: ResolutionConfig { splat_px: 0.0, static_splat_px: 0.0, ..defaults.resolution },
             dynamic: DynamicLaneConfig {
                 iterations: 300,
                 natural_step: 0.0,
@@ -213,7 +213,8 @@ mod tests {
         let ours = Config::literal().with_motion(&MotionConfig::default());
         let Config { first_frame, birth, resolution, dynamic, background, disocclusion, .. } = ours;
         assert_eq!((birth.iterations, disocclusion.iterations, dynamic.loss_dilation), (0, 0, 0));
-        assert_eq!((dynamic.prior_weight, resolution.splat_px, first_frame.exposures), (0.0, 0.0, false));
+        assert_eq!([dynamic.prior_weight, resolution.splat_px, resolution.static_splat_px], [0.0; 3]);
+        assert!(!first_frame.exposures);
         assert_eq!((background.static_method, background.static_iterations), (StaticMethod::Steps, 500));
         assert_eq!(
             ours,

@@ -77,7 +77,16 @@ impl World {
     ) -> T {
         let (before, now) = (self.training(frame - 1), self.training(frame));
         let views: Vec<usize> = (0..VIEWS).collect();
-        work(&Step { frame, seed: 1, capture: self, views: &views, before: &before, now: &now, tracks })
+        work(&Step {
+            frame,
+            seed: 1,
+            capture: self,
+            views: &views,
+            before: &before,
+            now: &now,
+            reduction: 1,
+            tracks,
+        })
     }
 
     /// A tracker that sees every Gaussian in every view, without error.
