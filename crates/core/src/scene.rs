@@ -129,7 +129,7 @@ pub struct Knowledge {
     /// Variance gained from frame to frame: turns (rad^2), log scales, opacity logits, SH coefficient 0, the others; zeros
     /// before the first frame.
     pub drift: [f64; 5],
-    /// Standard deviation of a channel of a pixel, and how many values share one error.
+    /// Standard deviation of a channel of a pixel, and how many values of whole photographs share one error.
     pub noise: [f64; 2],
 }
 

@@ -1,7 +1,8 @@
 //! Information on the moving layer from one frame to the next: predicted, used as the prior of the finetuning, and
 //! increased by that of the frame's photographs (docs/adr/0019-information-is-the-prior-of-the-next-frame.md).
 
-use ffgs_core::{Gaussians, Knowledge, Scene, TrainingView};
+use crate::reduced::Reduced;
+use ffgs_core::{Gaussians, Knowledge, Scene};
 use ffgs_fusion::symmetric_inverse;
 use ffgs_rasterizer::Information;
 use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, information_gain};
@@ -51,12 +52,12 @@ impl Predicted {
     }
 }
 
-/// Adds the information of `views` on the trained scene; `predicted` is the information before, and the start of the training.
-pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[TrainingView]) {
+/// Adds the information of `views`, reduced or not, on the trained scene; `predicted` is the information before, and the start of the training.
+pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &Reduced) {
     if scene.dynamic.gaussians.is_empty() {
         return;
     }
-    let Gain { information: gained, noise } = information_gain(&scene.layers(), &scene.sky, views);
+    let Gain { information: gained, noise } = information_gain(&scene.layers(), &scene.sky, &views.views);
     let dynamic = &mut scene.dynamic;
     for (covariance, gained) in dynamic.covariances.iter_mut().zip(&gained.positions) {
         let joint = symmetric_inverse(symmetric_inverse(*covariance) + *gained);
@@ -72,7 +73,9 @@ pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &[T
         add(&mut known, &predicted.information.others);
     }
     tracing::debug!("pixels: {noise:?}; {drift:?}");
-    dynamic.knowledge = Knowledge { information: known, drift, noise: [noise.sigma, noise.correlated] };
+    // Of whole pixels, as the next frame may be reduced otherwise.
+    let correlated = noise.correlated * (views.factor * views.factor) as f64;
+    dynamic.knowledge = Knowledge { information: known, drift, noise: [noise.sigma, correlated] };
 }
 
 fn add(sum: &mut Gaussians, more: &Gaussians) {

@@ -49,9 +49,9 @@ impl Reconstructor<'_> {
         let train_dynamic = || {
             let layer = &mut dynamic.gaussians;
             let report = &mut |p| show_dynamic(p);
-            devices.dynamic(&on_reduced, &moving.views, around, layer, seed, report)?;
+            let of_blocks = Surroundings { prior: prior.map(|p| p.reduced(moving.factor)), ..around };
+            devices.dynamic(&on_reduced, &moving.views, of_blocks, layer, seed, report)?;
             let report = &mut |p| show_dynamic(after(on_reduced.iterations, p));
-            let around = Surroundings { prior: prior.map(|p| p.finer(moving.factor)), ..around };
             devices.dynamic(&on_whole, views, around, layer, seed, report)
         };
         let train_static = || {
@@ -81,7 +81,7 @@ impl Reconstructor<'_> {
     ) {
         let start = Instant::now();
         let reduced = Reduced::new(views, self.config.resolution.dynamic(&scene.dynamic.gaussians, views));
-        knowledge::learn(scene, predicted, &reduced.views);
+        knowledge::learn(scene, predicted, &reduced);
         log.since(stage::INFORMATION, start);
     }
 }

@@ -212,10 +212,10 @@ impl<'a> Prior<'a> {
         Curvature { information: self.information, damping, views, unit: self.unit(pixels) }
     }
 
-    /// The same for photographs of `factor` times as many pixels along each side: so many more of them share an error.
+    /// The same for photographs whose pixels are blocks of `factor` times `factor` pixels: so many fewer of them share an error.
     #[must_use]
-    pub fn finer(self, factor: usize) -> Self {
-        let correlated = self.noise.correlated * (factor * factor) as f64;
+    pub fn reduced(self, factor: usize) -> Self {
+        let correlated = self.noise.correlated / (factor * factor) as f64;
         Self { noise: PixelNoise { correlated, ..self.noise }, ..self }
     }
 
