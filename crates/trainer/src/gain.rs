@@ -159,10 +159,14 @@ mod tests {
         if (x >> 40) & 1 == 0 { -20 } else { 20 }
     }
 
+    fn everywhere() -> Vec<Range<usize>> {
+        std::iter::once(0..SIZE.pixels()).collect()
+    }
+
     fn noise(view: &TrainingView) -> PixelNoise {
         let mut flat = PlanarImage::zeros(SIZE);
         flat.data_mut().fill(128.0 / 255.0);
-        Errors::new(view, &flat, &[0..SIZE.pixels()]).noise(0).unwrap()
+        Errors::new(view, &flat, &everywhere()).noise(0).unwrap()
     }
 
     #[test]
@@ -191,7 +195,7 @@ mod tests {
         assert_eq!(errors.noise(1), None, "no foreground");
         let weights = errors.weights([Some(noise); 2]);
         assert!((0..SIZE.pixels()).all(|p| (weights[p] > 0.0) == (p % 96 < 48)));
-        let everything = Errors::new(&view, &flat, &[0..SIZE.pixels()]).noise(0).unwrap();
+        let everything = Errors::new(&view, &flat, &everywhere()).noise(0).unwrap();
         assert!(everything.sigma > 2.0 * noise.sigma, "the test could tell: {everything:?}");
     }
 
