@@ -50,7 +50,7 @@ impl Default for GroupsConfig {
             max_groups: 32,
             sample: 4096,
             leave: 100.0,
-            reach: 1.5,
+            reach: 0.5,
             patches: 6.0,
         }
     }
