@@ -7,7 +7,7 @@
 use crate::adam::LearningRates;
 use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
 use crate::layer_lane::train_layer;
-use crate::lengths::pixel_length;
+use crate::lengths::{TILE_DILATION, pixel_length};
 use crate::prior::Prior;
 use crate::schedule::{Schedule, decay};
 use crate::view::Progress;
@@ -124,9 +124,6 @@ pub struct Surroundings<'a> {
     /// What is known of the dynamic layer; `None` = nothing.
     pub prior: Option<Prior<'a>>,
 }
-
-/// Pixels around the mask whose tiles are computed: a splat that leaves the mask must still be seen there.
-pub const TILE_DILATION: usize = 4;
 
 /// Finetunes `dynamic` on the foreground of `views`. Views without foreground are not used; with none left, or no
 /// Gaussians, nothing changes.

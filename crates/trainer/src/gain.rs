@@ -1,7 +1,7 @@
 //! Information on every parameter in the photographs of a frame, and the noise of their pixels.
 
 use crate::background::SkyBehind;
-use crate::dynamic_lane::TILE_DILATION;
+use crate::lengths::TILE_DILATION;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, TileMask, View};
 use std::ops::Range;

@@ -1,6 +1,9 @@
-//! Lengths that step sizes are measured in.
+//! Lengths that step sizes are measured in, and how far around a mask is looked.
 
 use ffgs_core::{Camera, Gaussians};
+
+/// Pixels around the mask whose tiles are computed: a splat that leaves the mask must still be seen there.
+pub const TILE_DILATION: usize = 4;
 
 /// Radius (m) around the median position that holds 90 % of the Gaussians: outliers must not set the step size.
 pub fn robust_extent(gaussians: &Gaussians) -> f32 {

@@ -40,13 +40,13 @@ pub use density_control::{
     DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, Split, normal,
 };
 pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
-pub use dynamic_lane::{DynamicLaneConfig, Surroundings, TILE_DILATION, train_dynamic};
+pub use dynamic_lane::{DynamicLaneConfig, Surroundings, train_dynamic};
 pub use exposures::estimate_exposures;
 pub use first_frame::{FirstFrame, FirstFrameConfig, train_first_frame};
 pub use gain::{Gain, PixelNoise, information_gain};
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use layer_lane::train_layer;
-pub use lengths::{pixel_length, robust_extent};
+pub use lengths::{TILE_DILATION, pixel_length, robust_extent};
 pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
 pub use natural::{Curvature, Damping};
 pub use prior::{Drift, KINDS, Kind, Prior};
