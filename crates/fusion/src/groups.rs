@@ -36,6 +36,8 @@ pub struct GroupsConfig {
     pub leave: f64,
     /// Cells nearer than this many typical cell diagonals are connected.
     pub reach: f64,
+    /// Parts of a group that lie farther apart than this many typical cell diagonals are aligned with the photographs by themselves.
+    pub apart: f64,
     /// Patches of a group whose shared errors are independent: what all trackers get wrong together remains in the
     /// group's motion with the cells' scatter over the square root of this.
     pub patches: f64,
@@ -50,7 +52,8 @@ impl Default for GroupsConfig {
             max_groups: 32,
             sample: 4096,
             leave: 100.0,
-            reach: 0.5,
+            reach: 1.5,
+            apart: 0.5,
             patches: 6.0,
         }
     }
@@ -129,7 +132,7 @@ pub fn spatial_objects(places: &[DVec3], config: &GroupsConfig) -> Vec<u32> {
 }
 
 /// The connected set around the first open cell, which it closes.
-fn next_component(adjacent: &[Vec<usize>], open: &mut [bool]) -> Option<Vec<usize>> {
+pub(crate) fn next_component(adjacent: &[Vec<usize>], open: &mut [bool]) -> Option<Vec<usize>> {
     let seed = open.iter().position(|&o| o)?;
     open[seed] = false;
     let (mut component, mut next) = (vec![seed], 0);
@@ -144,7 +147,7 @@ fn next_component(adjacent: &[Vec<usize>], open: &mut [bool]) -> Option<Vec<usiz
     Some(component)
 }
 
-fn boxes(places: &[DVec3], cells: &Cells) -> Vec<(DVec3, DVec3)> {
+pub(crate) fn boxes(places: &[DVec3], cells: &Cells) -> Vec<(DVec3, DVec3)> {
     cells.leaves.iter().map(|r| bounds(cells.members(r).iter().map(|&i| places[i]))).collect()
 }
 
@@ -389,7 +392,7 @@ fn fit_from_median(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -
 }
 
 /// For every box those no farther away than `reach` typical diagonals.
-fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
+pub(crate) fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
     let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
     let limit = reach * median(&mut diagonals).unwrap_or(0.0);
     let gap2 =

@@ -28,6 +28,7 @@
 //! # Ok::<(), ffgs_fusion::FusionError>(())
 //! ```
 
+mod apart;
 mod cell_views;
 mod cells;
 mod config;

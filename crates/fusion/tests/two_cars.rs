@@ -2,9 +2,7 @@
 //! are correlated over the surface, larger than they claim, and partly gross.
 
 use ffgs_core::{EstimateStatus, Estimates};
-use ffgs_fusion::{
-    FusionConfig, FusionInput, GroupsConfig, InformationFuser, RigidMotion, Structure, spatial_objects,
-};
+use ffgs_fusion::{FusionConfig, FusionInput, InformationFuser, RigidMotion, Structure};
 use ffgs_testkit::normal3;
 use glam::{DMat3, DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -127,24 +125,6 @@ fn rigid_neighbours_beat_independent_fusion() {
 #[test]
 fn rigid_groups_beat_independent_fusion() {
     assert_beats_independent_fusion(Structure::RigidGroups, 0.5);
-}
-
-/// Cars that follow each other at less than a car's width move alike for many frames, and are two bodies all the same.
-#[test]
-fn cars_that_follow_each_other_are_two_objects() {
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let mut car = |y: f64| -> Vec<DVec3> {
-        let place = |()| DVec3::from([0.9, 2.2, 0.5].map(|half: f64| half * rng.random_range(-1.0..1.0)));
-        [(); PER_CAR].map(place).iter().map(|&p| p + DVec3::new(0.0, y, 0.5)).collect()
-    };
-    let places = [car(0.0), car(2.0 * 2.2 + 0.7)].concat();
-    let objects = |config: &GroupsConfig| spatial_objects(&places, config);
-    let found = objects(&GroupsConfig::default());
-    let of = |cars: &[u32]| cars.iter().all(|object| *object == cars[0]);
-    assert!(of(&found[..PER_CAR]) && of(&found[PER_CAR..]), "a car is one object");
-    assert_ne!(found[0], found[PER_CAR], "two cars, 0.7 m apart");
-    let far = objects(&GroupsConfig { reach: 1.5, ..GroupsConfig::default() });
-    assert_eq!(far[0], far[PER_CAR], "one with a longer reach: the gap is no larger than cells are");
 }
 
 #[test]

@@ -97,6 +97,9 @@ fn fuse(
     let columns = FusionColumns::new(input, dynamic);
     let fusion = columns.input(input, observations, estimates, dynamic);
     let mut prediction = fuser.predict(&fusion)?;
+    if input.config.alignment.steps > 0 {
+        prediction.groups.separate(input.previous, input.config.fusion.groups.apart);
+    }
     log.since(stage::FUSION, predicting);
     align_groups(input, dynamic, &mut prediction.groups, log);
     let comparing = Instant::now();

@@ -2,7 +2,7 @@
 //! increased by that of the frame's photographs (docs/adr/0019-information-is-the-prior-of-the-next-frame.md).
 
 use crate::reduced::Reduced;
-use ffgs_core::{Gaussians, Knowledge, Scene};
+use ffgs_core::{Gaussians, Knowledge, Scene, SkyCube};
 use ffgs_fusion::symmetric_inverse;
 use ffgs_rasterizer::Information;
 use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, information_gain};
@@ -48,8 +48,31 @@ impl Predicted {
 
     /// As the finetuning takes it.
     pub(crate) fn prior(&self) -> Prior<'_> {
-        Prior { information: &self.information, noise: self.noise, weight: self.config.prior_weight }
+        let information = &self.information;
+        Prior { information, noise: self.noise, weight: self.config.prior_weight, curvature: information }
     }
+}
+
+/// What is known of the last of the `layers`, and what `views` tell of it where it is now: the curvature that the loss has at the start of a training, in
+/// units of the prior's noise.
+pub(crate) fn curvature(layers: &[&Gaussians], sky: &SkyCube, views: &Reduced, prior: Prior) -> Information {
+    let Gain { mut information, noise } = information_gain(layers, sky, &views.views);
+    let correlated = noise.correlated * (views.factor * views.factor) as f64;
+    // A nat of either noise, in the loss.
+    let unit = noise.sigma * correlated / (prior.noise.sigma * prior.noise.correlated);
+    let unit = if unit.is_finite() { unit } else { 1.0 };
+    let known = prior.information;
+    for (sum, known) in information.positions.iter_mut().zip(&known.positions) {
+        *sum = *sum * unit + *known;
+    }
+    let in_units = |values: &mut [f32]| values.iter_mut().for_each(|v| *v *= unit as f32);
+    let Gaussians { quats, log_scales, opacity_logits, sh, .. } = &mut information.others;
+    in_units(quats.as_flattened_mut());
+    in_units(log_scales.as_flattened_mut());
+    in_units(opacity_logits);
+    in_units(sh.as_flattened_mut());
+    add(&mut information.others, &known.others);
+    information
 }
 
 /// Adds the information of `views`, reduced or not, on the trained scene; `predicted` is the information before, and the start of the training.

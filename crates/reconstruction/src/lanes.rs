@@ -40,6 +40,13 @@ impl Reconstructor<'_> {
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
         let moving = Reduced::new(views, config.resolution.dynamic(&dynamic.gaussians, views));
+        let expecting = Instant::now();
+        let natural = prior.filter(|_| dynamic_lane.natural_step > 0.0);
+        let layers = [&static_start, &dynamic.gaussians];
+        let curvature = natural.map(|prior| knowledge::curvature(&layers, &sky_start, &moving, prior));
+        let prior = prior.map(|p| Prior { curvature: curvature.as_ref().unwrap_or(p.curvature), ..p });
+        let around = Surroundings { prior, ..around };
+        log.since(stage::INFORMATION, expecting);
         let standing = Reduced::new(views, config.resolution.static_layer(static_layer, views));
         let [reduced, _] = config.resolution.steps(dynamic_lane.iterations, moving.factor);
         let [on_reduced, on_whole] = dynamic_lane.cut(reduced);

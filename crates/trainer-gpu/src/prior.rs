@@ -5,6 +5,7 @@ use crate::layout::{NaturalUniform, PriorUniform};
 use crate::optimiser::Optimiser;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_rasterizer::Information;
 use ffgs_rasterizer_gpu::GpuScene;
 use ffgs_trainer::{Damping, LearningRates, Prior, SSIM_WEIGHT};
 
@@ -14,25 +15,38 @@ pub(crate) struct GpuPrior {
     natural: Buffer,
     /// Views that see each Gaussian.
     seen: Buffer,
-    /// (N, 8) xx, xy, xz, yy, yz, zz of the positions' information (1/m^2).
-    positions: Buffer,
-    /// Of the other parameters.
-    others: GpuScene,
+    information: Known,
+    /// What natural steps divide by.
+    curvature: Known,
     start: GpuScene,
 }
 
-impl GpuPrior {
-    /// `seen` = views that see each Gaussian of `start`.
-    pub(crate) fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
-        let information = prior.information;
+/// An information on the device.
+struct Known {
+    /// (N, 8) xx, xy, xz, yy, yz, zz of that of the positions (1/m^2).
+    positions: Buffer,
+    /// Of the other parameters.
+    others: GpuScene,
+}
+
+impl Known {
+    fn upload(gpu: &Gpu, information: &Information) -> Result<Self, GpuError> {
         let rows: Vec<[f32; 8]> = information
             .positions
             .iter()
             .map(|m| [m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z, 0.0, 0.0])
             .map(|row| row.map(|v| v as f32))
             .collect();
+        let positions = gpu.upload("information", &rows)?;
+        Ok(Self { positions, others: GpuScene::upload(gpu, &information.others)? })
+    }
+}
+
+impl GpuPrior {
+    /// `seen` = views that see each Gaussian of `start`.
+    pub(crate) fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
         let unit = (1.0 - SSIM_WEIGHT as f32) * (prior.noise.sigma * prior.noise.correlated) as f32;
-        let damping = Damping::new(information);
+        let damping = Damping::new(prior.curvature);
         let uniform = PriorUniform {
             items: start.count as u32,
             coefficients: ffgs_core::sh_coefficients(start.sh_degree) as u32,
@@ -50,15 +64,15 @@ impl GpuPrior {
             uniform: gpu.uniform("prior", &uniform)?,
             natural: gpu.uniform("natural step", &NaturalUniform::default())?,
             seen,
-            positions: gpu.upload("information", &rows)?,
-            others: GpuScene::upload(gpu, &information.others)?,
+            information: Known::upload(gpu, prior.information)?,
+            curvature: Known::upload(gpu, prior.curvature)?,
             start: GpuScene::joined(gpu, &[start])?,
         })
     }
 
     /// Adds its derivative to that of the loss of a view, for the Gaussians that the view drew.
     pub(crate) fn pull(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
-        let Self { uniform, seen, positions, others, start, .. } = self;
+        let Self { uniform, seen, information: Known { positions, others }, start, .. } = self;
         let (scene, gradients) = (&optimiser.scene, &optimiser.gradients);
         let shared = |now, start, known, gradient| {
             [
@@ -103,7 +117,7 @@ impl GpuPrior {
 
     /// Records one step along the natural gradient.
     pub(crate) fn step(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
-        let Self { uniform, natural, seen, positions, others, .. } = self;
+        let Self { uniform, natural, seen, curvature: Known { positions, others }, .. } = self;
         let Optimiser { scene, gradients, first, .. } = optimiser;
         let ledger = &gradients.ledger;
         let corrections = optimiser.corrections();

@@ -99,7 +99,7 @@ fn natural_steps_agree() {
     information.positions[7] = DMat3::ZERO;
     information.others.log_scales[7] = [0.0; 3];
     let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
-    let prior = Prior { information: &information, noise, weight: 0.1 };
+    let prior = Prior { information: &information, noise, weight: 0.1, curvature: &information };
     let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
     let scene = GpuScene::upload(&gpu, &expected).unwrap();
     let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
@@ -210,7 +210,7 @@ fn the_pull_of_the_prior_agrees() {
     now.opacity_logits.iter_mut().for_each(|v| *v += 0.3);
     let information = information(50);
     let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
-    let prior = Prior { information: &information, noise, weight: 0.1 };
+    let prior = Prior { information: &information, noise, weight: 0.1, curvature: &information };
     let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
     let optimiser = Optimiser::new(&gpu, GpuScene::upload(&gpu, &now).unwrap(), Columns::ALL).unwrap();
     let on_device = GpuPrior::new(

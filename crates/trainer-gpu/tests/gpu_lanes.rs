@@ -115,7 +115,12 @@ fn the_dynamic_lane_with_a_prior_agrees() {
     };
     let trained = |weight: f32| {
         let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
-        let prior = (weight > 0.0).then_some(Prior { information: &information, noise, weight });
+        let prior = (weight > 0.0).then_some(Prior {
+            information: &information,
+            noise,
+            weight,
+            curvature: &information,
+        });
         let around = Surroundings { prior, ..world.around() };
         let (mut cpu, mut gpu) = (start.clone(), start.clone());
         let Ok(()) = world.dynamic(&CpuBackend, &config, around, &mut cpu);

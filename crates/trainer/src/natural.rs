@@ -1,7 +1,7 @@
 //! Steps along the natural gradient (Amari 1998): mean derivatives divided by what is known of the parameters that they move.
 //!
-//! The information of earlier frames is the curvature that the loss is expected to have (Gauss-Newton), so the quotient is the
-//! step to the minimum in the units of the parameter. Adam finds these units anew in every frame.
+//! The information of earlier frames and that of the photographs at hand is the curvature that the loss is expected to have
+//! (Gauss-Newton), so the quotient is the step to the minimum in the units of the parameter. Adam finds these units anew in every frame.
 
 use crate::adam::{Adam, LearningRates};
 use crate::constants::{BETA1, LONGEST};

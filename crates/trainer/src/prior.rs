@@ -201,6 +201,9 @@ pub struct Prior<'a> {
     pub noise: PixelNoise,
     /// Factor on the penalty; 1 = as the information says.
     pub weight: f32,
+    /// The curvature that natural steps expect of the loss: the information, and what this frame's photographs will tell of every
+    /// parameter. Where they tell more than is known, the information alone would make the steps too long.
+    pub curvature: &'a Information,
 }
 
 impl<'a> Prior<'a> {
@@ -209,7 +212,7 @@ impl<'a> Prior<'a> {
     where
         'a: 'v,
     {
-        Curvature { information: self.information, damping, views, unit: self.unit(pixels) }
+        Curvature { information: self.curvature, damping, views, unit: self.unit(pixels) }
     }
 
     /// The same for photographs whose pixels are blocks of `factor` times `factor` pixels: so many fewer of them share an error.
@@ -258,7 +261,7 @@ pub(crate) struct Penalty<'a> {
 
 impl<'a> Penalty<'a> {
     pub(crate) fn new(prior: Prior<'a>, start: &Gaussians, views: Vec<u32>) -> Self {
-        Self { prior, start: start.clone(), views, damping: Damping::new(prior.information) }
+        Self { prior, start: start.clone(), views, damping: Damping::new(prior.curvature) }
     }
 
     /// Of a loss over `pixels` pixels.
@@ -384,8 +387,11 @@ mod tests {
         let told = DMat3::from_cols_array(&[3.0, 1.0, 0.5, 1.0, 4.0, 0.2, 0.5, 0.2, 2.0]);
         let information = Information { positions: vec![told; 3], others: random(3, 7) };
         let noise = PixelNoise { sigma: 0.1, correlated: 5.0 };
-        let penalty =
-            Penalty::new(Prior { information: &information, noise, weight: 1.0 }, &start, vec![2; 3]);
+        let penalty = Penalty::new(
+            Prior { information: &information, noise, weight: 1.0, curvature: &information },
+            &start,
+            vec![2; 3],
+        );
         let mut gradients = Gradients::default();
         gradients.reset(3, 1);
         gradients.touched = vec![true, true, false];

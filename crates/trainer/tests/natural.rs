@@ -20,7 +20,12 @@ fn known() -> Information {
 }
 
 fn prior(information: &Information) -> Prior<'_> {
-    Prior { information, noise: PixelNoise { sigma: 0.1, correlated: 5.0 }, weight: 1.0 }
+    Prior {
+        information,
+        noise: PixelNoise { sigma: 0.1, correlated: 5.0 },
+        weight: 1.0,
+        curvature: information,
+    }
 }
 
 fn start() -> Gaussians {

@@ -73,6 +73,7 @@ const RANGES: &[(&str, Range)] = &[
     ("fusion.groups.sample", COUNT),
     ("fusion.groups.leave", POSITIVE),
     ("fusion.groups.reach", POSITIVE),
+    ("fusion.groups.apart", POSITIVE),
     ("fusion.groups.patches", POSITIVE),
     ("alignment.pixels", COUNT),
     ("alignment.trackers", POSITIVE),

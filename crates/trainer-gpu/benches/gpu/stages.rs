@@ -89,7 +89,7 @@ fn prior(device: &SceneDevice, layer: &Gaussians, view: &TrainingView, rows: &mu
     let seconds = rows.try_time(|| {
         let mut layer = Arc::new(layer.clone());
         let views = vec![TaskView { view, region: Some(view.mask.clone()), tiles: None }];
-        let prior = Some(Prior { information: &information, noise, weight: 0.1 });
+        let prior = Some(Prior { information: &information, noise, weight: 0.1, curvature: &information });
         let task = LayerTask { prior, ..LayerTask::new(&mut layer, views, Around::Sky(&sky)) };
         let backend = GpuBackend(device);
         let mut training = backend.upload_layer(task)?;

@@ -226,7 +226,7 @@ pub(crate) fn natural_steps_lead_to_the_true_places<B: TrainBackend>(backend: &B
     let world = world();
     let layers = [&world.fixed, &world.disturbed()];
     let Gain { information, noise } = information_gain(&layers, &world.sky, &world.views);
-    let prior = Some(Prior { information: &information, noise, weight: 0.0 });
+    let prior = Some(Prior { information: &information, noise, weight: 0.0, curvature: &information });
     let around = Surroundings { prior, ..world.around() };
     let judged = |layer: &Gaussians| {
         let off =
