@@ -108,3 +108,53 @@ fn add(sum: &mut Gaussians, more: &Gaussians) {
     add(&mut sum.opacity_logits, &more.opacity_logits);
     add(sum.sh.as_flattened_mut(), more.sh.as_flattened());
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{ball, photographs, scene};
+    use ffgs_core::TrainingView;
+    use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
+    use ffgs_trainer::{CpuBackend, Surroundings, train_dynamic};
+    use glam::Vec3;
+
+    /// Mean absolute difference (grey levels) of what `views` show inside their masks and the layer before their grey.
+    fn error(layer: &Gaussians, views: &[TrainingView]) -> f32 {
+        let (mut sum, mut count, mut tape) = (0.0, 0.0, RenderTape::default());
+        for view in views {
+            let frame = View { camera: &view.camera, background: Background::Colour([0.3; 3]), tiles: None };
+            CpuRasterizer::default().render(layer, &frame, &mut tape);
+            for pixel in (0..view.mask.data().len()).filter(|&pixel| view.mask.data()[pixel] != 0) {
+                let difference = Vec3::from(tape.image().pixel(pixel)) - Vec3::from(view.image.pixel(pixel));
+                sum += difference.abs().element_sum() * 255.0;
+                count += 3.0;
+            }
+        }
+        sum / count
+    }
+
+    #[test]
+    fn what_fits_already_is_not_spoilt_by_steps_that_are_too_long() {
+        let views = photographs(&ball(Vec3::ZERO));
+        let mut scene = scene(&ball(Vec3::ZERO));
+        let whole = Reduced::new(&views, 1);
+        learn(&mut scene, None, &whole);
+        let config = DynamicLaneConfig::default();
+        let predicted = Predicted::new(&scene, &config).unwrap();
+        let known = predicted.prior();
+        let expected = curvature(&scene.layers(), &scene.sky, &whole, known);
+        let pairs = expected.others.sh.iter().zip(&known.information.others.sh);
+        assert!(pairs.clone().all(|(sum, known)| (0..3).all(|c| sum[c] >= known[c])), "they are added");
+        let trained = |prior| {
+            let mut layer = scene.dynamic.gaussians.clone();
+            let around =
+                Surroundings { static_layer: &scene.static_layer, sky: &scene.sky, prior: Some(prior) };
+            train_dynamic(&CpuBackend, &config, &views, around, &mut layer, 1, &mut |_| {}).unwrap();
+            error(&layer, &views)
+        };
+        let (alone, together) = (trained(known), trained(Prior { curvature: &expected, ..known }));
+        let start = error(&scene.dynamic.gaussians, &views);
+        assert!(start < 0.3, "the layer is what was photographed: {start}");
+        assert!(together < 0.5 * alone, "{together} grey levels, {alone} with what is known alone");
+    }
+}
