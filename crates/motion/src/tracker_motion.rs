@@ -98,7 +98,9 @@ fn fuse(
     let fusion = columns.input(input, observations, estimates, dynamic);
     let mut prediction = fuser.predict(&fusion)?;
     if input.config.alignment.steps > 0 {
+        let together = prediction.groups.found.len();
         prediction.groups.separate(input.previous, input.config.fusion.groups.apart);
+        tracing::debug!("{together} rigid groups, {} that lie apart", prediction.groups.found.len());
     }
     log.since(stage::FUSION, predicting);
     align_groups(input, dynamic, &mut prediction.groups, log);

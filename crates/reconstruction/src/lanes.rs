@@ -48,6 +48,11 @@ impl Reconstructor<'_> {
         let around = Surroundings { prior, ..around };
         log.since(stage::INFORMATION, expecting);
         let standing = Reduced::new(views, config.resolution.static_layer(static_layer, views));
+        tracing::debug!(
+            "photographs are reduced by {} for the dynamic layer, by {} for the static one",
+            moving.factor,
+            standing.factor
+        );
         let [reduced, _] = config.resolution.steps(dynamic_lane.iterations, moving.factor);
         let [on_reduced, on_whole] = dynamic_lane.cut(reduced);
         let show_dynamic = self.monitor.begin(stage::DYNAMIC, dynamic_lane.iterations);
