@@ -14,9 +14,10 @@ impl Groups {
         let boxes = boxes(places, &self.cells);
         let adjacent = adjacency(&boxes, apart);
         let centres: Vec<DVec3> = boxes.iter().map(|b| (b.0 + b.1) * 0.5).collect();
+        let sizes: Vec<usize> = self.cells.leaves.iter().map(ExactSizeIterator::len).collect();
         for group in 0..self.found.len() {
-            for body in bodies(&self.of_cells(group), &adjacent, &centres, &self.sizes()).into_iter().skip(1)
-            {
+            let bodies = bodies(&self.of_cells(group), &adjacent, &centres, &sizes);
+            for body in bodies.into_iter().skip(1) {
                 let own = Some(self.found.len());
                 self.found.push(self.found[group].clone());
                 for leaf in body.into_iter().map(|cell| &self.cells.leaves[cell]) {
@@ -35,14 +36,9 @@ impl Groups {
             .map(|l| l.0)
             .collect()
     }
-
-    /// Gaussians of each cell.
-    fn sizes(&self) -> Vec<usize> {
-        self.cells.leaves.iter().map(ExactSizeIterator::len).collect()
-    }
 }
 
-/// The cells of each body among `cells`, the one with the first cell first.
+/// The cells of each body among `cells`, the one with the first cell first; none where they are a single body. `sizes` are the Gaussians of each cell.
 fn bodies(cells: &[usize], adjacent: &[Vec<usize>], centres: &[DVec3], sizes: &[usize]) -> Vec<Vec<usize>> {
     let mut open = vec![false; adjacent.len()];
     cells.iter().for_each(|&cell| open[cell] = true);

@@ -10,7 +10,7 @@ use crate::target::{Selection, Target};
 use crate::workspace::{OPTIONS, Workspace, largest_view};
 use ffgs_core::{Gaussians, Mask, PlanarImage, SkyCube};
 use ffgs_gpu::Gpu;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
 use ffgs_trainer::constants::LONGEST;
 use ffgs_trainer::{
@@ -95,11 +95,11 @@ fn steps_of_the_optimiser_agree() {
 fn natural_steps_agree() {
     let gpu = Gpu::for_test();
     let mut expected = blob(50, [0.0; 3], 1.0, 3);
-    let mut information = information(50);
-    information.positions[7] = DMat3::ZERO;
-    information.others.log_scales[7] = [0.0; 3];
+    let (known, mut expecting) = (Information::none(50, expected.sh_degree()), information(50));
+    expecting.positions[7] = DMat3::ZERO;
+    expecting.others.log_scales[7] = [0.0; 3];
     let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
-    let prior = Prior { information: &information, noise, weight: 0.1, curvature: &information };
+    let prior = Prior { information: &known, noise, weight: 0.1, curvature: &expecting };
     let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
     let scene = GpuScene::upload(&gpu, &expected).unwrap();
     let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
@@ -109,7 +109,7 @@ fn natural_steps_agree() {
     let region = half(13);
     let selection = Selection { region: Some(&region), tiles: None, layers: None };
     let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
-    let curvature = prior.curvature(Damping::new(&information), &seen, region.count());
+    let curvature = prior.curvature(Damping::new(&expecting), &seen, region.count());
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
     let rates = LearningRates::with_means(1e-3);
     let (mut limited, mut free) = (0, 0);
@@ -208,9 +208,9 @@ fn the_pull_of_the_prior_agrees() {
     now.quats.as_flattened_mut().iter_mut().for_each(|v| *v += 0.05);
     now.log_scales.as_flattened_mut().iter_mut().for_each(|v| *v -= 0.1);
     now.opacity_logits.iter_mut().for_each(|v| *v += 0.3);
-    let information = information(50);
+    let (information, curvature) = (information(50), Information::none(50, start.sh_degree()));
     let noise = PixelNoise { sigma: 0.04, correlated: 9.0 };
-    let prior = Prior { information: &information, noise, weight: 0.1, curvature: &information };
+    let prior = Prior { information: &information, noise, weight: 0.1, curvature: &curvature };
     let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
     let optimiser = Optimiser::new(&gpu, GpuScene::upload(&gpu, &now).unwrap(), Columns::ALL).unwrap();
     let on_device = GpuPrior::new(
