@@ -6,14 +6,12 @@
 
 use super::background::Background;
 use super::regions;
-use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use ffgs_core::{ImageRgb8, Mask};
 
 /// Bins of a histogram along each channel.
 const BINS: usize = 16;
 /// Share of an even histogram that is mixed into each, so that colours that were hardly seen say little.
 const EVEN: f32 = 0.8;
-/// The surroundings of a mask reach as far as this share of the image's diagonal.
-const REACH: f64 = 0.05;
 /// A colour's vote is so many times the logarithm of how much more frequent it is in the masks, and never more than this.
 const VOTE: f32 = 0.7;
 const MOST: f32 = 0.7;
@@ -29,7 +27,7 @@ impl Colours {
         let (mut inside, mut around) = (Histogram::new(), Histogram::new());
         for (image, mask) in images.iter().zip(masks) {
             let gain = background.gain(image);
-            let (seam, near) = (mask.dilated(regions::radius(mask.size())), nearby(mask));
+            let (seam, near) = (mask.dilated(regions::radius(mask.size())), regions::surroundings(mask));
             for i in 0..mask.data().len() {
                 match (mask.data()[i], seam.data()[i], near.data()[i]) {
                     (1, _, _) => inside.add(colour(image, gain, i)),
@@ -45,16 +43,11 @@ impl Colours {
 
     /// Adds what the colour of each pixel near the mask says to its vote.
     pub(crate) fn add(&self, votes: &mut [f32], image: &ImageRgb8, background: &Background, mask: &Mask) {
-        let (gain, near) = (background.gain(image), nearby(mask));
+        let (gain, near) = (background.gain(image), regions::surroundings(mask));
         for i in (0..votes.len()).filter(|&i| near.data()[i] == 1) {
             votes[i] += self.0[bin(colour(image, gain, i))];
         }
     }
-}
-
-fn nearby(mask: &Mask) -> Mask {
-    let ImageSize { width, height } = mask.size();
-    mask.dilated(((width as f64).hypot(height as f64) * REACH).round() as usize)
 }
 
 fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
@@ -104,6 +97,7 @@ impl Histogram {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ffgs_core::ImageSize;
 
     const SIZE: ImageSize = ImageSize { width: 80, height: 40 };
     const ROAD: [u8; 3] = [90, 92, 95];

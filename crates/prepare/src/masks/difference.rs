@@ -3,9 +3,12 @@
 use super::background::Background;
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use std::ops::RangeInclusive;
 
-/// A difference of one is this many grey levels and this many standard deviations of the background.
-const LEVELS: f32 = 9.0;
+/// A difference scores 1 if it is as large as so many standard deviations of the background and the camera's levels: this share of what
+/// differs most, but for a hundredth, among what stands still, within this range (docs/adr/0077-thresholds-of-masks-follow-what-stands-still.md).
+const SHARE: f32 = 0.4;
+const LEVELS: RangeInclusive<f32> = 4.0..=9.0;
 const DEVIATIONS: f32 = 2.5;
 /// Scores end here, so that in their means over 3 x 3 pixels an edge stays where it is: half of the pixels give 1.
 const HIGHEST: f32 = 2.0;
@@ -20,14 +23,37 @@ const SHADOW_COLOUR: f32 = 7.0;
 /// and counts for so much.
 const SHADOW_SCORE: f32 = 0.5;
 
+/// The levels (0 to 255) of a camera, from pictures of it with the masks that were made before; the most of the range without masks.
+pub(crate) fn levels(background: &Background, images: &[ImageRgb8], masks: &[Mask]) -> f32 {
+    let mut still: Vec<f32> = Vec::new();
+    for (image, mask) in images.iter().zip(masks) {
+        let (gain, near) = (background.gain(image), regions::surroundings(mask));
+        let free = (0..near.data().len()).filter(|&i| near.data()[i] == 0);
+        still.extend(free.map(|i| difference(colour(image, gain, i), background.colour[i])));
+    }
+    if still.is_empty() {
+        return *LEVELS.end();
+    }
+    let at = still.len() * 99 / 100;
+    let (_, high, _) = still.select_nth_unstable_by(at, f32::total_cmp);
+    (SHARE * *high).clamp(*LEVELS.start(), *LEVELS.end())
+}
+
 /// How much each pixel differs from the background.
-pub(crate) fn raw(image: &ImageRgb8, background: &Background) -> Vec<f32> {
+pub(crate) fn raw(image: &ImageRgb8, background: &Background, levels: f32) -> Vec<f32> {
     let gain = background.gain(image);
     let score = |i: usize| {
-        let here: [f32; 3] = std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c]);
-        score(here, background.colour[i], background.spread[i])
+        score(colour(image, gain, i), background.colour[i], levels + DEVIATIONS * background.spread[i])
     };
     (0..background.size.pixels()).map(score).collect()
+}
+
+fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
+    std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c])
+}
+
+fn difference(here: [f32; 3], there: [f32; 3]) -> f32 {
+    (0..3).map(|c| (here[c] - there[c]).abs()).fold(0.0, f32::max)
 }
 
 /// Cut off above and smoothed over 3 x 3 pixels.
@@ -35,9 +61,8 @@ pub(crate) fn scores(raw: &[f32], size: ImageSize) -> Vec<f32> {
     smoothed(&raw.iter().map(|r| r.min(HIGHEST)).collect::<Vec<_>>(), size)
 }
 
-fn score(here: [f32; 3], there: [f32; 3], spread: f32) -> f32 {
-    let difference = (0..3).map(|c| (here[c] - there[c]).abs()).fold(0.0, f32::max);
-    let score = difference / (LEVELS + DEVIATIONS * spread);
+fn score(here: [f32; 3], there: [f32; 3], scale: f32) -> f32 {
+    let score = difference(here, there) / scale;
     if is_shadow(here, there) { score * SHADOW_SCORE } else { score }
 }
 
@@ -74,8 +99,29 @@ mod tests {
     #[test]
     fn shadows_score_less_than_things() {
         let grass = [90.0, 140.0, 60.0];
-        assert!(score(grass.map(|v| 0.82 * v), grass, 2.0) < WEAK);
-        assert!(score([140.0, 90.0, 60.0], grass, 2.0) > HIGHEST);
-        assert!(score(grass.map(|v| v + 3.0), grass, 2.0) < WEAK);
+        assert!(score(grass.map(|v| 0.82 * v), grass, 14.0) < WEAK);
+        assert!(score([140.0, 90.0, 60.0], grass, 14.0) > HIGHEST);
+        assert!(score(grass.map(|v| v + 3.0), grass, 14.0) < WEAK);
+    }
+
+    /// 24 x 20 pixels of grey with noise, and a bright block that a mask covers.
+    #[test]
+    fn levels_follow_what_stands_still() {
+        let size = ImageSize { width: 24, height: 20 };
+        let block = |i: usize| i % 24 < 4 && i / 24 < 4;
+        let background =
+            Background { size, colour: vec![[100.0; 3]; size.pixels()], spread: vec![1.5; size.pixels()] };
+        let found = |noise: usize, mask: bool| {
+            let grey =
+                |i: usize| if block(i) { 250 } else { 100 + (i * 7 % (2 * noise + 1)) as u8 - noise as u8 };
+            let image =
+                ImageRgb8::new(size, (0..size.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap();
+            let masks = Mask::new(size, (0..size.pixels()).map(|i| u8::from(block(i))).collect()).unwrap();
+            levels(&background, &[image], if mask { std::slice::from_ref(&masks) } else { &[] })
+        };
+        assert_eq!([found(1, true), found(60, true)], [4.0, 9.0]);
+        assert!((found(16, true) - 6.4).abs() < 0.41, "{}", found(16, true));
+        assert_eq!(found(1, false), 9.0, "not known");
+        assert_eq!(levels(&background, &[], &[Mask::filled(size, true)]), 9.0, "nothing stands still");
     }
 }

@@ -18,7 +18,7 @@ use colours::Colours;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
 use rayon::prelude::*;
-use regions::without_specks;
+use regions::{filled, without_specks};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +33,9 @@ const VIEWS_THAT_ADD: u16 = 4;
 /// Smallest region (of the image) that is kept, and largest hole that is filled.
 const SPECK: f64 = 2e-4;
 const HOLE: f64 = 1e-3;
+/// Largest hole that is filled where other views find most of it possible: a dark hub before a dark road is one, what is seen between an
+/// arm and a hip is not.
+const POSSIBLE_HOLE: f64 = 4e-3;
 
 /// Name of the contact sheet in the capture.
 const SHEET: &str = "masks.png";
@@ -124,8 +127,19 @@ fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
 /// What is known of a fixed camera.
 struct Learnt {
     background: Background,
+    /// Grey levels that count in a difference.
+    levels: f32,
     /// Those of the masks that were made before, and of what is around them.
     colours: Option<Colours>,
+}
+
+impl Learnt {
+    /// With pictures and the `masks` of the first ones of them that were made before.
+    fn new(background: Background, images: &[ImageRgb8], masks: &[Mask]) -> Self {
+        let levels = difference::levels(&background, images, masks);
+        let colours = Colours::learn(&background, images, masks);
+        Self { background, levels, colours }
+    }
 }
 
 /// The background of a fixed camera: of the empty scene, or from frames spread over the capture, without what `known` masks
@@ -141,8 +155,7 @@ fn learn(
     }
     if beside.has_clean_plate(&view.name) {
         let empty = beside.clean_plates(&view.name)?;
-        let learnt = || Learnt { background: Background::learn(&empty, &[]), colours: None };
-        return Ok((!empty.is_empty()).then(learnt));
+        return Ok((!empty.is_empty()).then(|| Learnt::new(Background::learn(&empty, &[]), &[], &[])));
     }
     let frames = capture.frames();
     if frames < LEAST_FRAMES {
@@ -161,8 +174,7 @@ fn learn(
     images.extend(beside.footage(&view.name)?);
     let covered: Vec<Mask> = masks.iter().map(|m| m.dilated(regions::radius(m.size()))).collect();
     let background = Background::learn(&images, &covered);
-    let colours = Colours::learn(&background, &images, &masks);
-    Ok(Some(Learnt { background, colours }))
+    Ok(Some(Learnt::new(background, &images, &masks)))
 }
 
 /// The masks of one frame, in the order of the views.
@@ -182,7 +194,7 @@ fn masks_of(
     let raw: Vec<Option<Vec<f32>>> = loaded
         .par_iter()
         .zip(learnt)
-        .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background)))
+        .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background, l.levels)))
         .collect();
     let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(&loaded))
         .map(|(raw, (camera, _))| raw.as_ref().map(|raw| difference::scores(raw, camera.size())))
@@ -197,7 +209,7 @@ fn masks_of(
         .collect();
     let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
     let refined = |(v, agreed): (usize, &Agreed)| {
-        let (Some(raw), Some(Learnt { background, colours })) = (&raw[v], &learnt[v]) else {
+        let (Some(raw), Some(Learnt { background, colours, .. })) = (&raw[v], &learnt[v]) else {
             return agreed.mask.clone();
         };
         let image = &loaded[v].1;
@@ -205,7 +217,8 @@ fn masks_of(
         if let Some(colours) = colours {
             colours.add(&mut votes, image, background, &agreed.mask);
         }
-        without_specks(&cut::cheapest(&votes, image, background, &agreed.mask), SPECK, HOLE)
+        let cut = without_specks(&cut::cheapest(&votes, image, background, &agreed.mask), SPECK, HOLE);
+        filled(&cut, POSSIBLE_HOLE, &agreed.possible)
     };
     Ok(agreed(&cameras, &scores, &silhouettes).par_iter().enumerate().map(refined).collect())
 }

@@ -2,9 +2,18 @@
 
 use ffgs_core::{ImageSize, Mask};
 
+/// The surroundings of a mask reach as far as this share of the image's diagonal.
+const REACH: f64 = 0.05;
+
 /// A distance in the image over which masks may be wrong: 0.6 % of its diagonal, at least 2 px.
 pub(crate) fn radius(size: ImageSize) -> usize {
     ((size.width as f64).hypot(size.height as f64) * 0.006).round().max(2.0) as usize
+}
+
+/// A mask and what is around it.
+pub(crate) fn surroundings(mask: &Mask) -> Mask {
+    let ImageSize { width, height } = mask.size();
+    mask.dilated(((width as f64).hypot(height as f64) * REACH).round() as usize)
 }
 
 /// The regions of a mask (4-neighbours) that have a pixel for which `touches` holds.
@@ -17,6 +26,13 @@ pub(crate) fn without_specks(mask: &Mask, speck: f64, hole: f64) -> Mask {
     let pixels = mask.size().pixels() as f64;
     let without_holes = kept(mask, 0, |region| region.len() as f64 > hole * pixels);
     kept(&without_holes, 1, |region| region.len() as f64 > speck * pixels)
+}
+
+/// The mask with holes filled that are at most a part of the image and mostly `possible`.
+pub(crate) fn filled(mask: &Mask, hole: f64, possible: &Mask) -> Mask {
+    let largest = hole * mask.size().pixels() as f64;
+    let inside = |region: &[usize]| region.iter().filter(|&&i| possible.data()[i] == 1).count();
+    kept(mask, 0, |region| region.len() as f64 > largest || 2 * inside(region) <= region.len())
 }
 
 /// The mask with the regions of `value` that `keep` refuses turned over.
@@ -74,6 +90,17 @@ mod tests {
         let found =
             without_specks(&mask(["####...", "#.##..#", "####...", ".......", "#......"]), 0.05, 0.05);
         assert_eq!(found, mask(["####...", "####...", "####...", ".......", "......."]));
+    }
+
+    #[test]
+    fn larger_holes_are_filled_where_other_views_find_them_possible() {
+        let ring = mask(["#####..", "#...#..", "#...#..", "#####..", "......."]);
+        let full = mask(["#####..", "#####..", "#####..", "#####..", "......."]);
+        let [most, few] =
+            [".####..", "...#..."].map(|row| mask([".......", row, "..#....", ".......", "......."]));
+        assert_eq!(filled(&ring, 0.2, &most), full);
+        assert_eq!(filled(&ring, 0.2, &few), ring);
+        assert_eq!(filled(&ring, 0.1, &most), ring, "too large");
     }
 
     #[test]
