@@ -58,6 +58,7 @@ impl Predicted {
 pub(crate) fn curvature(layers: &[&Gaussians], sky: &SkyCube, views: &Reduced, prior: Prior) -> Information {
     let Gain { mut information, noise } = information_gain(layers, sky, &views.views);
     let correlated = noise.correlated * (views.factor * views.factor) as f64;
+    tracing::debug!("pixels before the training: {noise:?}, after the last one: {:?}", prior.noise);
     // What a nat of information is in the loss at the noise of these photographs, over what it is at the prior's.
     let unit = noise.sigma * correlated / (prior.noise.sigma * prior.noise.correlated);
     let unit = if unit.is_finite() { unit } else { 1.0 };

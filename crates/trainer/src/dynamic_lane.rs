@@ -57,7 +57,7 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 100,
-            natural_step: 0.5,
+            natural_step: 0.2,
             natural_step_end: 0.03,
             position_rate_px: 0.2,
             position_rate_end_px: 0.006,
