@@ -17,8 +17,8 @@ const LEAST_SHARE: f32 = 0.35;
 const NEAR: f32 = 25.0;
 /// Standard deviation (grey levels) of a background that no sample shows.
 const UNSEEN_SPREAD: f32 = 4.0;
-/// Pixels that are used for the exposure.
-const EXPOSURE_PIXELS: usize = 4000;
+/// Pixels of a picture that tell its exposure, and what differs in it.
+const ENOUGH_PIXELS: usize = 4000;
 
 /// What a fixed camera sees where nothing moves.
 #[derive(Clone, Debug)]
@@ -60,6 +60,16 @@ impl Background {
     }
 }
 
+/// Colour (0 to 255) of pixel `i` of a picture, with the background's exposure.
+pub(super) fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
+    std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c])
+}
+
+/// Largest difference of a channel.
+pub(super) fn farthest_channel(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max)
+}
+
 /// What a fixed camera saw at several times.
 struct Samples<'a> {
     images: &'a [ImageRgb8],
@@ -74,7 +84,7 @@ impl Samples<'_> {
     }
 
     fn colour(&self, s: usize, i: usize) -> [f32; 3] {
-        std::array::from_fn(|c| f32::from(self.images[s].data()[i * 3 + c]) * self.gains[s][c])
+        colour(&self.images[s], self.gains[s], i)
     }
 
     /// The colours of a pixel where it is free, else all of them.
@@ -101,10 +111,6 @@ fn median(mut values: Vec<f32>) -> f32 {
     values.sort_unstable_by(f32::total_cmp);
     let n = values.len();
     if n == 0 { 0.0 } else { f32::midpoint(values[(n - 1) / 2], values[n / 2]) }
-}
-
-fn farthest_channel(a: &[f32; 3], b: &[f32; 3]) -> f32 {
-    a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max)
 }
 
 fn same(a: &[f32; 3], b: &[f32; 3]) -> bool {
@@ -160,8 +166,9 @@ fn likeliest(samples: &[[f32; 3]], hidden: bool, expected: [f32; 3]) -> ([f32; 3
     }
 }
 
-fn stride(pixels: usize) -> usize {
-    (pixels / EXPOSURE_PIXELS).max(1)
+/// Every so many pixels of so many are enough to tell a share or a median of them.
+pub(super) fn stride(pixels: usize) -> usize {
+    (pixels / ENOUGH_PIXELS).max(1)
 }
 
 /// Per pixel and channel the median of the images, at the pixels that serve for the exposure.

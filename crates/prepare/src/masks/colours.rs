@@ -4,7 +4,7 @@
 //! A background that was learnt wrongly, where something stood for most of the time, denies that thing and calls the free ground
 //! foreground; the colours of the rest of the thing and of the ground beside it put both right.
 
-use super::background::Background;
+use super::background::{Background, colour};
 use super::regions;
 use ffgs_core::{ImageRgb8, Mask};
 
@@ -48,10 +48,6 @@ impl Colours {
             votes[i] += self.0[bin(colour(image, gain, i))];
         }
     }
-}
-
-fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
-    std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c])
 }
 
 fn bin(colour: [f32; 3]) -> usize {

@@ -4,7 +4,7 @@
 //! The minimum cut is found as the convex problem that it is (Chan, Esedoglu and Nikolova 2006), by primal and dual steps
 //! (Chambolle and Pock 2011).
 
-use super::background::Background;
+use super::background::{Background, colour};
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 
 /// Steps; the start is near the end, so that few are enough.
@@ -68,8 +68,7 @@ impl Costs {
     fn new(image: &ImageRgb8, background: &Background) -> Self {
         let size = image.size();
         let gain = background.gain(image);
-        let here =
-            |i: usize| -> [f32; 3] { std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c]) };
+        let here = |i: usize| colour(image, gain, i);
         // An edge that the background has too is not that of a thing before it.
         let contrast = |i: usize, j: usize| {
             let (a, b) = (here(i), here(j));

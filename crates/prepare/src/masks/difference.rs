@@ -1,6 +1,6 @@
 //! How much each pixel of a photograph differs from its background, with shadows discounted.
 
-use super::background::Background;
+use super::background::{Background, colour, farthest_channel, stride};
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use std::ops::RangeInclusive;
@@ -28,8 +28,9 @@ pub(crate) fn levels(background: &Background, images: &[ImageRgb8], masks: &[Mas
     let mut still: Vec<f32> = Vec::new();
     for (image, mask) in images.iter().zip(masks) {
         let (gain, near) = (background.gain(image), regions::surroundings(mask));
-        let free = (0..near.data().len()).filter(|&i| near.data()[i] == 0);
-        still.extend(free.map(|i| difference(colour(image, gain, i), background.colour[i])));
+        let pixels = near.data().len();
+        let free = (0..pixels).step_by(stride(pixels)).filter(|&i| near.data()[i] == 0);
+        still.extend(free.map(|i| farthest_channel(&colour(image, gain, i), &background.colour[i])));
     }
     if still.is_empty() {
         return *LEVELS.end();
@@ -48,21 +49,13 @@ pub(crate) fn raw(image: &ImageRgb8, background: &Background, levels: f32) -> Ve
     (0..background.size.pixels()).map(score).collect()
 }
 
-fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
-    std::array::from_fn(|c| f32::from(image.data()[i * 3 + c]) * gain[c])
-}
-
-fn difference(here: [f32; 3], there: [f32; 3]) -> f32 {
-    (0..3).map(|c| (here[c] - there[c]).abs()).fold(0.0, f32::max)
-}
-
 /// Cut off above and smoothed over 3 x 3 pixels.
 pub(crate) fn scores(raw: &[f32], size: ImageSize) -> Vec<f32> {
     smoothed(&raw.iter().map(|r| r.min(HIGHEST)).collect::<Vec<_>>(), size)
 }
 
 fn score(here: [f32; 3], there: [f32; 3], scale: f32) -> f32 {
-    let score = difference(here, there) / scale;
+    let score = farthest_channel(&here, &there) / scale;
     if is_shadow(here, there) { score * SHADOW_SCORE } else { score }
 }
 
