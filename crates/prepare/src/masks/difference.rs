@@ -97,6 +97,17 @@ mod tests {
         assert!(score(grass.map(|v| v + 3.0), grass, 14.0) < WEAK);
     }
 
+    #[test]
+    fn a_weak_difference_counts_where_little_else_differs() {
+        // The rest tells the exposure.
+        let size = ImageSize { width: 5, height: 1 };
+        let background = Background { size, colour: vec![[100.0; 3]; 5], spread: vec![1.5; 5] };
+        let pixels = [[100, 110, 100], [100; 3], [100; 3], [100; 3], [100; 3]];
+        let image = ImageRgb8::new(size, pixels.concat()).unwrap();
+        let score = |levels: f32| raw(&image, &background, levels)[0];
+        assert!(score(4.0) > WEAK && score(9.0) < WEAK, "{} {}", score(4.0), score(9.0));
+    }
+
     /// 24 x 20 pixels of grey with noise, and a bright block that a mask covers.
     #[test]
     fn levels_follow_what_stands_still() {
