@@ -22,6 +22,20 @@
 var<workgroup> open_pixels: atomic<u32>;
 var<workgroup> any_open: u32;
 
+// Puts the colour and transmittance of pixel `row` of a column between its layers.
+fn show(slot: u32, place: vec2u, first: vec2u, row: u32, blended: vec4f, counted: u32) {
+    var behind = vec4f(view.background, 1.0);
+    var front = vec4f(0.0);
+    if view.layered != 0u {
+        let at = (slot * AREA + (place.y + row) * TILE + place.x) * 2u;
+        behind = layers[at];
+        front = layers[at + 1u];
+    }
+    let at = (first.y + row) * view.size.x + first.x;
+    pixels[at] = vec4f(front.xyz + behind.w * (blended.xyz + blended.w * behind.xyz), blended.w);
+    last[at] = counted;
+}
+
 @compute @workgroup_size(64)
 fn blend(
     @builtin(workgroup_id) group: vec3u,
@@ -33,22 +47,18 @@ fn blend(
     if slot < view.slots {
         tile = slots[slot];
     }
-    let origin = tile_origin(tile.x);
-    var colour: array<vec3f, 4>;
-    var transmittance: array<f32, 4>;
-    var counted: array<u32, 4>;
-    var open: array<bool, 4>;
-    for (var r = 0u; r < ROWS; r++) {
-        transmittance[r] = 1.0;
-        open[r] = slot < view.slots && in_image(origin + local_pixel(local, r));
-    }
+    let first_pixel = tile_origin(tile.x) + local_column(local);
+    let centres = column_from(first_pixel);
+    let inside = column_in_image(first_pixel) & vec4<bool>(slot < view.slots);
+    var blended = nothing_blended(inside);
+    var counted = vec4u(0u);
     let length = tile.z - tile.y;
     for (var first = 0u; first < length; first += BATCH) {
         if local == 0u {
             atomicStore(&open_pixels, 0u);
         }
         workgroupBarrier();
-        if open[0] || open[1] || open[2] || open[3] {
+        if any(blended.open) {
             atomicOr(&open_pixels, 1u);
         }
         let at = tile.y + first + local;
@@ -65,41 +75,24 @@ fn blend(
         }
         let batch = min(BATCH, length - first);
         for (var k = 0u; k < batch; k++) {
-            let shade = colour_of(k);
-            for (var r = 0u; r < ROWS; r++) {
-                let a = alpha_at(k, origin + local_pixel(local, r));
-                if open[r] && a.alpha > 0.0 {
-                    let weight = a.alpha * transmittance[r];
-                    let next = transmittance[r] - weight;
-                    if next > MIN_TRANSMITTANCE {
-                        colour[r] += weight * shade;
-                        transmittance[r] = next;
-                        counted[r] = first + k + 1u;
-                    } else {
-                        open[r] = false;
-                    }
-                }
+            let alpha = alphas_at(k, centres).alpha;
+            if any(blended.open & (alpha > vec4f(0.0))) {
+                let counts = blend_splat(&blended, alpha, colour_of(k));
+                counted = select(counted, vec4u(first + k + 1u), counts);
             }
         }
     }
-    if slot >= view.slots {
-        return;
+    let place = local_column(local);
+    if inside.x {
+        show(slot, place, first_pixel, 0u, pixel_x(blended), counted.x);
     }
-    for (var r = 0u; r < ROWS; r++) {
-        let inside = local_pixel(local, r);
-        let pixel = origin + inside;
-        if in_image(pixel) {
-            var behind = vec4f(view.background, 1.0);
-            var front = vec4f(0.0);
-            if view.layered != 0u {
-                let at = (slot * AREA + inside.y * TILE + inside.x) * 2u;
-                behind = layers[at];
-                front = layers[at + 1u];
-            }
-            let rgb = front.xyz + behind.w * (colour[r] + transmittance[r] * behind.xyz);
-            let at = pixel.y * view.size.x + pixel.x;
-            pixels[at] = vec4f(rgb, transmittance[r]);
-            last[at] = counted[r];
-        }
+    if inside.y {
+        show(slot, place, first_pixel, 1u, pixel_y(blended), counted.y);
+    }
+    if inside.z {
+        show(slot, place, first_pixel, 2u, pixel_z(blended), counted.z);
+    }
+    if inside.w {
+        show(slot, place, first_pixel, 3u, pixel_w(blended), counted.w);
     }
 }

@@ -14,6 +14,13 @@
 @group(0) @binding(4) var<storage, read> depths: array<f32>;
 @group(0) @binding(5) var<storage, read_write> layers: array<vec4f>;
 
+// Colour and transmittance of the splats in front, and of those behind, of a pixel.
+fn store(pixel: u32, near: vec4f, far: vec4f) {
+    let behind = far.xyz + far.w * layers[pixel * 2u].xyz;
+    layers[pixel * 2u] = vec4f(behind, near.w);
+    layers[pixel * 2u + 1u] = vec4f(near.xyz, 0.0);
+}
+
 @compute @workgroup_size(64)
 fn blend_split(
     @builtin(workgroup_id) group: vec3u,
@@ -27,11 +34,10 @@ fn blend_split(
         tile = slots[slot];
         cut = depths[slot];
     }
-    let origin = tile_origin(tile.x);
-    // Four pixels of the front part, then the same four of the part behind.
-    var colour: array<vec3f, 8>;
-    var transmittance = array<f32, 8>(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0);
-    var open = array<bool, 8>(true, true, true, true, true, true, true, true);
+    let place = local_column(local);
+    let centres = column_from(tile_origin(tile.x) + place);
+    var near = nothing_blended(vec4<bool>(true));
+    var far = near;
     let length = tile.z - tile.y;
     for (var first = 0u; first < length; first += BATCH) {
         workgroupBarrier();
@@ -45,32 +51,20 @@ fn blend_split(
         workgroupBarrier();
         let batch = min(BATCH, length - first);
         for (var k = 0u; k < batch; k++) {
-            let shade = colour_of(k);
-            let part = bitcast<u32>(batch_rest[k].y) * ROWS;
-            for (var r = 0u; r < ROWS; r++) {
-                let a = alpha_at(k, origin + local_pixel(local, r));
-                let i = part + r;
-                if open[i] && a.alpha > 0.0 {
-                    let weight = a.alpha * transmittance[i];
-                    let next = transmittance[i] - weight;
-                    if next > MIN_TRANSMITTANCE {
-                        colour[i] += weight * shade;
-                        transmittance[i] = next;
-                    } else {
-                        open[i] = false;
-                    }
-                }
+            let alpha = alphas_at(k, centres).alpha;
+            if bitcast<u32>(batch_rest[k].y) == 0u {
+                blend_splat(&near, alpha, colour_of(k));
+            } else {
+                blend_splat(&far, alpha, colour_of(k));
             }
         }
     }
     if slot >= view.slots {
         return;
     }
-    for (var r = 0u; r < ROWS; r++) {
-        let inside = local_pixel(local, r);
-        let at = (slot * AREA + inside.y * TILE + inside.x) * 2u;
-        let behind = colour[ROWS + r] + transmittance[ROWS + r] * layers[at].xyz;
-        layers[at] = vec4f(behind, transmittance[r]);
-        layers[at + 1u] = vec4f(colour[r], 0.0);
-    }
+    let at = slot * AREA + place.y * TILE + place.x;
+    store(at, pixel_x(near), pixel_x(far));
+    store(at + TILE, pixel_y(near), pixel_y(far));
+    store(at + 2u * TILE, pixel_z(near), pixel_z(far));
+    store(at + 3u * TILE, pixel_w(near), pixel_w(far));
 }

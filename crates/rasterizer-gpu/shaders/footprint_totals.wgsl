@@ -22,16 +22,26 @@ fn footprint_totals(
         return;
     }
     let extent = extents[i];
-    var sums: array<f32, 9>;
+    var a = vec4f(0.0);
+    var b = vec4f(0.0);
+    var c = 0.0;
     if extent.x > 0u {
         let end = min(extent.w + extent.x, view.pair_capacity);
         for (var entry = extent.w; entry < end; entry++) {
-            for (var v = 0u; v < ENTRY; v++) {
-                sums[v] += entries[entry * ENTRY + v];
-            }
+            let at = entry * ENTRY;
+            a += vec4f(entries[at], entries[at + 1u], entries[at + 2u], entries[at + 3u]);
+            b += vec4f(entries[at + 4u], entries[at + 5u], entries[at + 6u], entries[at + 7u]);
+            c += entries[at + 8u];
         }
     }
-    for (var v = 0u; v < ENTRY; v++) {
-        totals[i * ENTRY + v] = sums[v];
-    }
+    let at = i * ENTRY;
+    totals[at] = a.x;
+    totals[at + 1u] = a.y;
+    totals[at + 2u] = a.z;
+    totals[at + 3u] = a.w;
+    totals[at + 4u] = b.x;
+    totals[at + 5u] = b.y;
+    totals[at + 6u] = b.z;
+    totals[at + 7u] = b.w;
+    totals[at + 8u] = c;
 }

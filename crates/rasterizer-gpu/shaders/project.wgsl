@@ -90,12 +90,8 @@ fn active_tiles(row: i32, span: vec2u) -> u32 {
 
 fn view_colour(i: u32, offset: vec3f) -> vec3f {
     let distance = length(offset);
-    let basis = sh_basis(view.sh_degree, select(vec3f(0.0), offset / distance, distance > 0.0));
-    var colour = vec3f(0.5);
-    for (var k = 0u; k < sh_coefficients(view.sh_degree); k++) {
-        let at = (i * view.sh_stride + k) * 3u;
-        colour += basis[k] * vec3f(sh[at], sh[at + 1u], sh[at + 2u]);
-    }
+    let direction = select(vec3f(0.0), offset / distance, distance > 0.0);
+    let colour = sh_colour(i, view.sh_degree, direction);
     return select(vec3f(0.0), max(colour, vec3f(0.0)), all_finite(colour));
 }
 

@@ -115,29 +115,58 @@ fn quaternion_gradient(q: vec4f, d: mat3x3f) -> vec4f {
     return (by_unit - dot(by_unit, u) * u) / length;
 }
 
+// Adds to the derivative by a coefficient; a fresh one starts here.
+fn add_sh(i: u32, k: u32, by: vec3f, fresh: bool) {
+    let at = (i * view.sh_stride + k) * 3u;
+    var d = by;
+    if !fresh {
+        d += vec3f(sh_gradient[at], sh_gradient[at + 1u], sh_gradient[at + 2u]);
+    }
+    sh_gradient[at] = d.x;
+    sh_gradient[at + 1u] = d.y;
+    sh_gradient[at + 2u] = d.z;
+}
+
+// The same for coefficient k with its basis value; returns the derivative by the direction, given that of the basis.
+fn add_band(i: u32, k: u32, basis: f32, slope: vec3f, shown: vec3f, fresh: bool) -> vec3f {
+    add_sh(i, k, basis * shown, fresh);
+    return slope * dot(sh_at(i, k), shown);
+}
+
 // Writes the SH derivatives and returns that by the mean through the viewing direction.
 fn colour_gradient(i: u32, offset: vec3f, upstream: vec3f, fresh: bool) -> vec3f {
     let distance = length(offset);
     let direction = select(vec3f(0.0), offset / distance, distance > 0.0);
-    let basis = sh_basis(view.sh_degree, direction);
-    let slopes = sh_basis_gradient(view.sh_degree, direction);
-    let used = sh_coefficients(view.sh_degree);
-    var colour = vec3f(0.5);
-    for (var k = 0u; k < used; k++) {
-        let at = (i * view.sh_stride + k) * 3u;
-        colour += basis[k] * vec3f(sh[at], sh[at + 1u], sh[at + 2u]);
-    }
+    let colour = sh_colour(i, view.sh_degree, direction);
     let shown = select(vec3f(0.0), upstream, colour > vec3f(0.0));
+    let b = sh_basis(view.sh_degree, direction);
+    let g = sh_basis_gradient(view.sh_degree, direction);
+    add_sh(i, 0u, b[0] * shown, fresh);
     var along = vec3f(0.0);
-    for (var k = 0u; k < view.sh_stride; k++) {
-        let at = (i * view.sh_stride + k) * 3u;
-        var d = vec3f(0.0);
-        if k < used {
-            d = basis[k] * shown;
-            along += slopes[k] * dot(vec3f(sh[at], sh[at + 1u], sh[at + 2u]), shown);
-        }
-        for (var c = 0u; c < 3u; c++) {
-            sh_gradient[at + c] = select(sh_gradient[at + c], 0.0, fresh) + d[c];
+    if view.sh_degree >= 1u {
+        along += add_band(i, 1u, b[1], g[1], shown, fresh);
+        along += add_band(i, 2u, b[2], g[2], shown, fresh);
+        along += add_band(i, 3u, b[3], g[3], shown, fresh);
+    }
+    if view.sh_degree >= 2u {
+        along += add_band(i, 4u, b[4], g[4], shown, fresh);
+        along += add_band(i, 5u, b[5], g[5], shown, fresh);
+        along += add_band(i, 6u, b[6], g[6], shown, fresh);
+        along += add_band(i, 7u, b[7], g[7], shown, fresh);
+        along += add_band(i, 8u, b[8], g[8], shown, fresh);
+    }
+    if view.sh_degree >= 3u {
+        along += add_band(i, 9u, b[9], g[9], shown, fresh);
+        along += add_band(i, 10u, b[10], g[10], shown, fresh);
+        along += add_band(i, 11u, b[11], g[11], shown, fresh);
+        along += add_band(i, 12u, b[12], g[12], shown, fresh);
+        along += add_band(i, 13u, b[13], g[13], shown, fresh);
+        along += add_band(i, 14u, b[14], g[14], shown, fresh);
+        along += add_band(i, 15u, b[15], g[15], shown, fresh);
+    }
+    if fresh {
+        for (var k = sh_coefficients(view.sh_degree); k < view.sh_stride; k++) {
+            add_sh(i, k, vec3f(0.0), true);
         }
     }
     if view.sh_degree == 0u || !(distance > 0.0) {
@@ -178,27 +207,31 @@ fn projection_backward(
     if extent.x == 0u {
         return;
     }
-    var s: array<f32, 9>;
+    // As `entries` of common/backward.wgsl.
+    var moments = vec4f(0.0);
+    var more = vec4f(0.0);
+    var blue = 0.0;
     let end = min(extent.w + extent.x, view.pair_capacity);
     for (var entry = extent.w; entry < end; entry++) {
-        for (var v = 0u; v < ENTRY; v++) {
-            s[v] += entries[entry * ENTRY + v];
-        }
+        let at = entry * ENTRY;
+        moments += vec4f(entries[at], entries[at + 1u], entries[at + 2u], entries[at + 3u]);
+        more += vec4f(entries[at + 4u], entries[at + 5u], entries[at + 6u], entries[at + 7u]);
+        blue += entries[at + 8u];
     }
     let g = geometry[i];
     let e = project_shape(g);
     let conic = conic_of(e);
-    let mean2d = vec2f(conic.x * s[0] + conic.y * s[1], conic.y * s[0] + conic.z * s[1]);
+    let mean2d = vec2f(conic.x * moments.x + conic.y * moments.y, conic.y * moments.x + conic.z * moments.y);
     let alpha = sigmoid(g.opacity_logit);
     let factor = dropout_factor(i);
-    var d_axes = axes_gradient(e, conic, vec3f(-0.5 * s[2], -s[3], -0.5 * s[4]));
-    let compensation = compensation_gradient(e, s[5] * min(alpha * factor, 1.0));
+    var d_axes = axes_gradient(e, conic, vec3f(-0.5 * moments.z, -moments.w, -0.5 * more.x));
+    let compensation = compensation_gradient(e, more.y * min(alpha * factor, 1.0));
     d_axes[0] += 2.0 * compensation.x * e.axes[0] + compensation.y * e.axes[1];
     d_axes[1] += compensation.y * e.axes[0] + 2.0 * compensation.z * e.axes[1];
     let shape = shape_gradient(e, d_axes, mean2d);
 
     let fresh = ledger[i].stamp != view.stamp;
-    let from_direction = colour_gradient(i, e.offset, vec3f(s[6], s[7], s[8]), fresh);
+    let from_direction = colour_gradient(i, e.offset, vec3f(more.zw, blue), fresh);
     var d: Geometry;
     if !fresh {
         d = geometry_gradient[i];
@@ -214,7 +247,7 @@ fn projection_backward(
     );
     // None at the bound of 1.
     let slope = select(alpha * (1.0 - alpha) * factor, 0.0, alpha * factor > 1.0);
-    d.opacity_logit += s[5] * compensation_of(e) * slope;
+    d.opacity_logit += more.y * compensation_of(e) * slope;
     geometry_gradient[i] = d;
     ledger[i].stamp = view.stamp;
     if fresh {

@@ -28,6 +28,7 @@ fn top_contributors(
     let slot = min(job / 4u, view.slots - 1u);
     let tile = slots[slot];
     let pixel = tile_origin(tile.x) + vec2u(local % TILE, job % 4u * 4u + local / TILE);
+    let centre = column_from(pixel);
     var counted = 0u;
     let at = pixel.y * view.size.x + pixel.x;
     if in_image(pixel) {
@@ -50,8 +51,8 @@ fn top_contributors(
         workgroupBarrier();
         let end = min(BATCH, max(counted, first) - first);
         for (var k = 0u; k < end; k++) {
-            let a = alpha_at(k, pixel);
-            let weight = a.alpha * transmittance;
+            // One of four: drivers drop the others.
+            let weight = alphas_at(k, centre).alpha.x * transmittance;
             transmittance -= weight;
             if weight > weights[count - 1u] {
                 var place = count - 1u;

@@ -35,6 +35,28 @@ fn load(origin: vec2i, channel: u32, local: u32) {
     }
 }
 
+fn map_at(i: u32) -> vec3f {
+    return vec3f(maps[i * 3u], maps[i * 3u + 1u], maps[i * 3u + 2u]);
+}
+
+fn row_at(i: u32) -> vec3f {
+    return vec3f(rows[i * 3u], rows[i * 3u + 1u], rows[i * 3u + 2u]);
+}
+
+// As in `loss_statistics`.
+fn along_row(i: u32) -> vec3f {
+    return WINDOW[0] * (map_at(i) + map_at(i + 10u)) + WINDOW[1] * (map_at(i + 1u) + map_at(i + 9u))
+        + WINDOW[2] * (map_at(i + 2u) + map_at(i + 8u)) + WINDOW[3] * (map_at(i + 3u) + map_at(i + 7u))
+        + WINDOW[4] * (map_at(i + 4u) + map_at(i + 6u)) + WINDOW[5] * map_at(i + 5u);
+}
+
+fn down_column(i: u32) -> vec3f {
+    return WINDOW[0] * (row_at(i) + row_at(i + 10u * TILE)) + WINDOW[1] * (row_at(i + TILE) + row_at(i + 9u * TILE))
+        + WINDOW[2] * (row_at(i + 2u * TILE) + row_at(i + 8u * TILE))
+        + WINDOW[3] * (row_at(i + 3u * TILE) + row_at(i + 7u * TILE))
+        + WINDOW[4] * (row_at(i + 4u * TILE) + row_at(i + 6u * TILE)) + WINDOW[5] * row_at(i + 5u * TILE);
+}
+
 @compute @workgroup_size(256)
 fn loss_gradient(
     @builtin(workgroup_id) group: vec3u,
@@ -48,14 +70,10 @@ fn loss_gradient(
     load(origin, channel, local);
     workgroupBarrier();
     for (var i = local; i < HALO * TILE; i += 256u) {
-        let first = i / TILE * HALO + i % TILE;
-        for (var m = 0u; m < 3u; m++) {
-            var sum = 0.0;
-            for (var t = 0u; t < 11u; t++) {
-                sum += tap(t) * maps[(first + t) * 3u + m];
-            }
-            rows[i * 3u + m] = sum;
-        }
+        let row = along_row(i / TILE * HALO + i % TILE);
+        rows[i * 3u] = row.x;
+        rows[i * 3u + 1u] = row.y;
+        rows[i * 3u + 2u] = row.z;
     }
     workgroupBarrier();
     let p = origin + vec2i(i32(local % TILE), i32(local / TILE));
@@ -64,11 +82,7 @@ fn loss_gradient(
         let pixel = index_of(p);
         var gradient = 0.0;
         if is_counted(pixel) {
-            var mean = vec3f(0.0);
-            for (var t = 0u; t < 11u; t++) {
-                let at = (local + t * TILE) * 3u;
-                mean += tap(t) * vec3f(rows[at], rows[at + 1u], rows[at + 2u]);
-            }
+            let mean = down_column(local);
             let x = pixels[pixel][channel];
             let y = target_at(pixel, channel);
             error = x - y;

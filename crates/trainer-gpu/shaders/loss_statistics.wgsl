@@ -39,15 +39,29 @@ fn load(origin: vec2i, channel: u32, local: u32) {
     }
 }
 
+fn moments(i: u32) -> vec4f {
+    let s = samples[i];
+    return vec4f(s, dot(s, s), s.x * s.y);
+}
+
+// The window over eleven samples from i on. Written out, so that no loop looks its weights up.
+fn along_row(i: u32) -> vec4f {
+    return WINDOW[0] * (moments(i) + moments(i + 10u)) + WINDOW[1] * (moments(i + 1u) + moments(i + 9u))
+        + WINDOW[2] * (moments(i + 2u) + moments(i + 8u)) + WINDOW[3] * (moments(i + 3u) + moments(i + 7u))
+        + WINDOW[4] * (moments(i + 4u) + moments(i + 6u)) + WINDOW[5] * moments(i + 5u);
+}
+
+// The same over eleven rows.
+fn down_column(i: u32) -> vec4f {
+    return WINDOW[0] * (rows[i] + rows[i + 10u * TILE]) + WINDOW[1] * (rows[i + TILE] + rows[i + 9u * TILE])
+        + WINDOW[2] * (rows[i + 2u * TILE] + rows[i + 8u * TILE])
+        + WINDOW[3] * (rows[i + 3u * TILE] + rows[i + 7u * TILE])
+        + WINDOW[4] * (rows[i + 4u * TILE] + rows[i + 6u * TILE]) + WINDOW[5] * rows[i + 5u * TILE];
+}
+
 fn filter_rows(local: u32) {
     for (var i = local; i < HALO * TILE; i += 256u) {
-        let first = i / TILE * HALO + i % TILE;
-        var sum = vec4f(0.0);
-        for (var t = 0u; t < 11u; t++) {
-            let s = samples[first + t];
-            sum += tap(t) * vec4f(s, dot(s, s), s.x * s.y);
-        }
-        rows[i] = sum;
+        rows[i] = along_row(i / TILE * HALO + i % TILE);
     }
 }
 
@@ -88,11 +102,7 @@ fn loss_statistics(
     if in_image(p) {
         let pixel = index_of(p);
         if is_counted(pixel) {
-            var mean = vec4f(0.0);
-            for (var t = 0u; t < 11u; t++) {
-                mean += tap(t) * rows[local + t * TILE];
-            }
-            let s = similarity(mean);
+            let s = similarity(down_column(local));
             ssim = s.w;
             partials[pixel * 3u + channel] = vec4f(s.xyz, 0.0);
         }

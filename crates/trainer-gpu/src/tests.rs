@@ -30,7 +30,9 @@ fn half(first: usize) -> Mask {
 fn the_loss_and_its_gradient_agree() {
     let gpu = Gpu::for_test();
     let views = photographs(&blob(40, [0.0; 3], 1.0, 1), &blob(1, [0.0; 3], 0.1, 2));
-    let rendered = render(&blob(40, [0.1, 0.0, 0.0], 1.0, 1), &SkyCube::filled(8, SKY), &views[0].camera);
+    // Another sky: of an error within rounding, the sign is the adapter's.
+    let sky = SkyCube::filled(8, SKY.map(|c| c + 0.01));
+    let rendered = render(&blob(40, [0.1, 0.0, 0.0], 1.0, 1), &sky, &views[0].camera);
     let pixels: Vec<[f32; 4]> =
         (0..SIZE.pixels()).map(|p| rendered.pixel(p)).map(|[r, g, b]| [r, g, b, 1.0]).collect();
     for region in [None, Some(half(13)), Some(Mask::filled(SIZE, false))] {

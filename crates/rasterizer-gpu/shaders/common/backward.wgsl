@@ -18,39 +18,59 @@
 var<workgroup> longest: atomic<u32>;
 var<workgroup> longest_shared: u32;
 
+// What a pixel says to the splats that it shows.
+struct Given {
+    // Derivative of the loss by their blended colour.
+    gradient: vec3f,
+    // Everything that the pixel shows of them and behind them, weighted by its derivative.
+    behind: f32,
+    // Entries of the list up to the last one that counts.
+    counted: u32,
+}
+
+fn given_to(inside: bool, slot: u32, place: vec2u, pixel: vec2u) -> Given {
+    if !inside {
+        return Given(vec3f(0.0), 0.0, 0u);
+    }
+    var back = vec4f(view.background, 1.0);
+    var front = vec4f(0.0);
+    if view.layered != 0u {
+        let layer = (slot * AREA + place.y * TILE + place.x) * 2u;
+        back = layers[layer];
+        front = layers[layer + 1u];
+    }
+    let at = pixel.y * view.size.x + pixel.x;
+    let shown = pixels[at];
+    let given = upstream[at];
+    let behind = dot(given.xyz, shown.xyz - front.xyz) + shown.w * (given.w + front.w);
+    return Given(given.xyz * back.w, behind, last[at]);
+}
+
+fn sum_of(v: vec4f) -> f32 {
+    return (v.x + v.y) + (v.z + v.w);
+}
+
 // `slot` must not differ inside a workgroup.
 fn differentiate_tile(slot: u32, local: u32) {
     var tile = vec4u(0u);
     if slot < view.slots {
         tile = slots[slot];
     }
-    let origin = tile_origin(tile.x);
-    var gradient: array<vec3f, 4>;
-    var behind: array<f32, 4>;
-    var transmittance: array<f32, 4>;
-    var counted: array<u32, 4>;
-    var most = 0u;
-    for (var r = 0u; r < ROWS; r++) {
-        let inside = local_pixel(local, r);
-        let pixel = origin + inside;
-        transmittance[r] = 1.0;
-        if slot < view.slots && in_image(pixel) {
-            let at = pixel.y * view.size.x + pixel.x;
-            var back = vec4f(view.background, 1.0);
-            var front = vec4f(0.0);
-            if view.layered != 0u {
-                let layer = (slot * AREA + inside.y * TILE + inside.x) * 2u;
-                back = layers[layer];
-                front = layers[layer + 1u];
-            }
-            let shown = pixels[at];
-            let given = upstream[at];
-            gradient[r] = given.xyz * back.w;
-            behind[r] = dot(given.xyz, shown.xyz - front.xyz) + shown.w * (given.w + front.w);
-            counted[r] = last[at];
-            most = max(most, counted[r]);
-        }
-    }
+    let place = local_column(local);
+    let first_pixel = tile_origin(tile.x) + place;
+    let centres = column_from(first_pixel);
+    let inside = column_in_image(first_pixel) & vec4<bool>(slot < view.slots);
+    let p0 = given_to(inside.x, slot, place, first_pixel);
+    let p1 = given_to(inside.y, slot, place + vec2u(0u, 1u), first_pixel + vec2u(0u, 1u));
+    let p2 = given_to(inside.z, slot, place + vec2u(0u, 2u), first_pixel + vec2u(0u, 2u));
+    let p3 = given_to(inside.w, slot, place + vec2u(0u, 3u), first_pixel + vec2u(0u, 3u));
+    let red = vec4f(p0.gradient.x, p1.gradient.x, p2.gradient.x, p3.gradient.x);
+    let green = vec4f(p0.gradient.y, p1.gradient.y, p2.gradient.y, p3.gradient.y);
+    let blue = vec4f(p0.gradient.z, p1.gradient.z, p2.gradient.z, p3.gradient.z);
+    let counted = vec4u(p0.counted, p1.counted, p2.counted, p3.counted);
+    var behind = vec4f(p0.behind, p1.behind, p2.behind, p3.behind);
+    var transmittance = vec4f(1.0);
+    let most = max(max(counted.x, counted.y), max(counted.z, counted.w));
     if local == 0u {
         atomicStore(&longest, 0u);
     }
@@ -74,48 +94,33 @@ fn differentiate_tile(slot: u32, local: u32) {
             let reduced = min(REDUCED, batch - start);
             for (var j = 0u; j < reduced; j++) {
                 let k = start + j;
-                let shade = colour_of(k);
-                let opacity = batch_colour[k].y;
-                var around = array<f32, 5>();
-                var d_opacity = 0.0;
-                var d_colour = vec3f(0.0);
-                var adds = false;
-                for (var r = 0u; r < ROWS; r++) {
-                    let a = alpha_at(k, origin + local_pixel(local, r));
-                    if first + k < counted[r] && a.alpha > 0.0 {
-                        adds = true;
-                        let weight = a.alpha * transmittance[r];
-                        let shown = dot(gradient[r], shade);
-                        behind[r] -= weight * shown;
-                        var d_alpha = transmittance[r] * shown - behind[r] / (1.0 - a.alpha);
-                        if !(opacity * a.falloff < MAX_ALPHA) {
-                            d_alpha = 0.0;
-                        }
-                        transmittance[r] -= weight;
-                        let d = d_alpha * a.falloff;
-                        let e = d * opacity * a.delta;
-                        around[0] += e.x;
-                        around[1] += e.y;
-                        around[2] += e.x * a.delta.x;
-                        around[3] += e.x * a.delta.y;
-                        around[4] += e.y * a.delta.y;
-                        d_opacity += d;
-                        d_colour += weight * gradient[r];
-                    }
-                }
-                if !any_adds(adds) {
-                    for (var v = 0u; v < ENTRY; v++) {
-                        keep_nothing(j, v, local);
-                    }
+                let a = alphas_at(k, centres);
+                let adds = (vec4u(first + k) < counted) & (a.alpha > vec4f(0.0));
+                if !any_adds(any(adds)) {
+                    keep_nothing(j, local);
                     continue;
                 }
-                for (var v = 0u; v < 5u; v++) {
-                    keep_partial(j, v, local, around[v]);
-                }
-                keep_partial(j, 5u, local, d_opacity);
-                keep_partial(j, 6u, local, d_colour.x);
-                keep_partial(j, 7u, local, d_colour.y);
-                keep_partial(j, 8u, local, d_colour.z);
+                let shade = colour_of(k);
+                let opacity = batch_colour[k].y;
+                let weight = select(vec4f(0.0), a.alpha * transmittance, adds);
+                let shown = red * shade.x + green * shade.y + blue * shade.z;
+                behind -= weight * shown;
+                let d_alpha = transmittance * shown - behind / (1.0 - a.alpha);
+                transmittance -= weight;
+                let free = adds & (opacity * a.falloff < vec4f(MAX_ALPHA));
+                let d = select(vec4f(0.0), d_alpha * a.falloff, free);
+                let e = d * opacity;
+                let e_sum = sum_of(e);
+                let e_down = e * a.down;
+                let e_down_sum = sum_of(e_down);
+                let around = vec4f(e_sum, e_sum * a.across, e_down_sum, dot(e_down, a.down));
+                keep_partials(
+                    j,
+                    local,
+                    vec4f(around.y, around.z, around.y * a.across, around.z * a.across),
+                    vec4f(around.w, sum_of(d), dot(weight, red), dot(weight, green)),
+                    dot(weight, blue),
+                );
             }
             workgroupBarrier();
             for (var row = local; row < reduced * ENTRY; row += 64u) {

@@ -14,25 +14,70 @@
 
 const CHANNELS: u32 = 8u;
 
+fn channel_at(channel: u32, pixel: u32) -> f32 {
+    if channel >= planes.y {
+        return 0.0;
+    }
+    return channels[(planes.x + channel) * view.size.x * view.size.y + pixel];
+}
+
+// Four channels of a pixel, from `first` on.
+fn channels_at(inside: bool, first: u32, pixel: u32) -> vec4f {
+    if !inside {
+        return vec4f(0.0);
+    }
+    return vec4f(
+        channel_at(first, pixel),
+        channel_at(first + 1u, pixel),
+        channel_at(first + 2u, pixel),
+        channel_at(first + 3u, pixel),
+    );
+}
+
+fn hit_at(inside: bool, pixel: u32) -> f32 {
+    if !inside {
+        return 0.0;
+    }
+    return select(0.0, 1.0, channels[pixel] != 0.0);
+}
+
+fn counted_at(inside: bool, pixel: u32) -> u32 {
+    if !inside {
+        return 0u;
+    }
+    return last[pixel];
+}
+
 fn sum_tile(slot: u32, local: u32) {
     var tile = vec4u(0u);
     if slot < view.slots {
         tile = slots[slot];
     }
-    let origin = tile_origin(tile.x);
-    let plane_size = view.size.x * view.size.y;
-    var transmittance = array<f32, 4>(1.0, 1.0, 1.0, 1.0);
-    var counted: array<u32, 4>;
-    var place: array<u32, 4>;
-    var hit: array<f32, 4>;
-    for (var r = 0u; r < ROWS; r++) {
-        let pixel = origin + local_pixel(local, r);
-        if slot < view.slots && in_image(pixel) {
-            place[r] = pixel.y * view.size.x + pixel.x;
-            counted[r] = last[place[r]];
-            hit[r] = select(0.0, 1.0, channels[place[r]] != 0.0);
-        }
-    }
+    let first_pixel = tile_origin(tile.x) + local_column(local);
+    let centres = column_from(first_pixel);
+    let inside = column_in_image(first_pixel) & vec4<bool>(slot < view.slots);
+    let at = first_pixel.y * view.size.x + first_pixel.x + vec4u(0u, 1u, 2u, 3u) * view.size.x;
+    // A column per pixel, a row per channel.
+    let low = mat4x4f(
+        channels_at(inside.x, 0u, at.x),
+        channels_at(inside.y, 0u, at.y),
+        channels_at(inside.z, 0u, at.z),
+        channels_at(inside.w, 0u, at.w),
+    );
+    let high = mat4x4f(
+        channels_at(inside.x, 4u, at.x),
+        channels_at(inside.y, 4u, at.y),
+        channels_at(inside.z, 4u, at.z),
+        channels_at(inside.w, 4u, at.w),
+    );
+    let hit = vec4f(hit_at(inside.x, at.x), hit_at(inside.y, at.y), hit_at(inside.z, at.z), hit_at(inside.w, at.w));
+    var counted = vec4u(
+        counted_at(inside.x, at.x),
+        counted_at(inside.y, at.y),
+        counted_at(inside.z, at.z),
+        counted_at(inside.w, at.w),
+    );
+    var transmittance = vec4f(1.0);
     let length = tile.z - tile.y;
     for (var first = 0u; first < length; first += BATCH) {
         workgroupBarrier();
@@ -47,26 +92,19 @@ fn sum_tile(slot: u32, local: u32) {
             let reduced = min(REDUCED, batch - start);
             for (var j = 0u; j < reduced; j++) {
                 let k = start + j;
-                var sums: array<f32, 9>;
-                for (var r = 0u; r < ROWS; r++) {
-                    let a = alpha_at(k, origin + local_pixel(local, r));
-                    if first + k < counted[r] && a.alpha > 0.0 {
-                        let weight = a.alpha * transmittance[r];
-                        let next = transmittance[r] - weight;
-                        if next <= bitcast<f32>(planes.z) {
-                            counted[r] = 0u;
-                            continue;
-                        }
-                        transmittance[r] = next;
-                        for (var c = 0u; c < planes.y; c++) {
-                            sums[c] += weight * channels[(planes.x + c) * plane_size + place[r]];
-                        }
-                        sums[CHANNELS] += hit[r];
-                    }
+                let alpha = alphas_at(k, centres).alpha;
+                let shows = (vec4u(first + k) < counted) & (alpha > vec4f(0.0));
+                if !any_adds(any(shows)) {
+                    keep_nothing(j, local);
+                    continue;
                 }
-                for (var v = 0u; v < ENTRY; v++) {
-                    keep_partial(j, v, local, sums[v]);
-                }
+                let weight = select(vec4f(0.0), alpha * transmittance, shows);
+                let finished = shows & (transmittance - weight <= vec4f(bitcast<f32>(planes.z)));
+                let added = select(weight, vec4f(0.0), finished);
+                counted = select(counted, vec4u(0u), finished);
+                transmittance -= added;
+                let hits = dot(hit, select(vec4f(0.0), vec4f(1.0), shows & !finished));
+                keep_partials(j, local, low * added, high * added, hits);
             }
             workgroupBarrier();
             for (var row = local; row < reduced * ENTRY; row += 64u) {

@@ -12,12 +12,21 @@ fn any_adds(adds: bool) -> bool {
     return adds;
 }
 
-fn keep_nothing(slot: u32, value: u32, local: u32) {
-    keep_partial(slot, value, local, 0.0);
+fn keep_nothing(slot: u32, local: u32) {
+    keep_partials(slot, local, vec4f(0.0), vec4f(0.0), 0.0);
 }
 
-fn keep_partial(slot: u32, value: u32, local: u32, x: f32) {
-    partial_sums[(slot * ENTRY + value) * REDUCE_STRIDE + local] = x;
+fn keep_partials(slot: u32, local: u32, a: vec4f, b: vec4f, c: f32) {
+    let at = slot * ENTRY * REDUCE_STRIDE + local;
+    partial_sums[at] = a.x;
+    partial_sums[at + REDUCE_STRIDE] = a.y;
+    partial_sums[at + 2u * REDUCE_STRIDE] = a.z;
+    partial_sums[at + 3u * REDUCE_STRIDE] = a.w;
+    partial_sums[at + 4u * REDUCE_STRIDE] = b.x;
+    partial_sums[at + 5u * REDUCE_STRIDE] = b.y;
+    partial_sums[at + 6u * REDUCE_STRIDE] = b.z;
+    partial_sums[at + 7u * REDUCE_STRIDE] = b.w;
+    partial_sums[at + 8u * REDUCE_STRIDE] = c;
 }
 
 fn total_of(row: u32) -> f32 {

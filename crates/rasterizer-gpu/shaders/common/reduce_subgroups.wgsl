@@ -21,17 +21,28 @@ fn any_adds(adds: bool) -> bool {
     return subgroupAny(adds);
 }
 
-fn keep_nothing(slot: u32, value: u32, local: u32) {
-    if own_lane == 0u {
-        partial_sums[(slot * ENTRY + value) * MOST_SUBGROUPS + own_subgroup] = 0.0;
-    }
+fn keep_nothing(slot: u32, local: u32) {
+    store(slot, vec4f(0.0), vec4f(0.0), 0.0);
 }
 
-fn keep_partial(slot: u32, value: u32, local: u32, x: f32) {
-    let sum = subgroupAdd(x);
-    if own_lane == 0u {
-        partial_sums[(slot * ENTRY + value) * MOST_SUBGROUPS + own_subgroup] = sum;
+fn keep_partials(slot: u32, local: u32, a: vec4f, b: vec4f, c: f32) {
+    store(slot, subgroupAdd(a), subgroupAdd(b), subgroupAdd(c));
+}
+
+fn store(slot: u32, a: vec4f, b: vec4f, c: f32) {
+    if own_lane != 0u {
+        return;
     }
+    let at = slot * ENTRY * MOST_SUBGROUPS + own_subgroup;
+    partial_sums[at] = a.x;
+    partial_sums[at + MOST_SUBGROUPS] = a.y;
+    partial_sums[at + 2u * MOST_SUBGROUPS] = a.z;
+    partial_sums[at + 3u * MOST_SUBGROUPS] = a.w;
+    partial_sums[at + 4u * MOST_SUBGROUPS] = b.x;
+    partial_sums[at + 5u * MOST_SUBGROUPS] = b.y;
+    partial_sums[at + 6u * MOST_SUBGROUPS] = b.z;
+    partial_sums[at + 7u * MOST_SUBGROUPS] = b.w;
+    partial_sums[at + 8u * MOST_SUBGROUPS] = c;
 }
 
 fn total_of(row: u32) -> f32 {

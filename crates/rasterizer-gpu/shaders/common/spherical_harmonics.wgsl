@@ -1,5 +1,6 @@
 // Real spherical harmonics in the basis and with the signs of 3D Gaussian Splatting.
-// CPU twin: rasterizer/src/spherical_harmonics.rs.
+// `sh` is a binding of the entry file. Coefficients are taken one by one, by constant numbers: an array that a loop
+// indexes would lie in memory. CPU twin: rasterizer/src/spherical_harmonics.rs.
 
 const SH_C0: f32 = 0.2820948;
 const SH_C1: f32 = 0.4886025;
@@ -34,6 +35,40 @@ fn sh_basis(degree: u32, d: vec3f) -> array<f32, 16> {
         b[15] = SH_C3[6] * d.x * (q.x - 3.0 * q.y);
     }
     return b;
+}
+
+// Coefficient k of Gaussian i (RGB).
+fn sh_at(i: u32, k: u32) -> vec3f {
+    let at = (i * view.sh_stride + k) * 3u;
+    return vec3f(sh[at], sh[at + 1u], sh[at + 2u]);
+}
+
+// Colour of Gaussian i in direction d, not clamped.
+fn sh_colour(i: u32, degree: u32, d: vec3f) -> vec3f {
+    let b = sh_basis(degree, d);
+    var colour = 0.5 + b[0] * sh_at(i, 0u);
+    if degree >= 1u {
+        colour += b[1] * sh_at(i, 1u);
+        colour += b[2] * sh_at(i, 2u);
+        colour += b[3] * sh_at(i, 3u);
+    }
+    if degree >= 2u {
+        colour += b[4] * sh_at(i, 4u);
+        colour += b[5] * sh_at(i, 5u);
+        colour += b[6] * sh_at(i, 6u);
+        colour += b[7] * sh_at(i, 7u);
+        colour += b[8] * sh_at(i, 8u);
+    }
+    if degree >= 3u {
+        colour += b[9] * sh_at(i, 9u);
+        colour += b[10] * sh_at(i, 10u);
+        colour += b[11] * sh_at(i, 11u);
+        colour += b[12] * sh_at(i, 12u);
+        colour += b[13] * sh_at(i, 13u);
+        colour += b[14] * sh_at(i, 14u);
+        colour += b[15] * sh_at(i, 15u);
+    }
+    return colour;
 }
 
 // Number of coefficients of a degree.

@@ -8,10 +8,6 @@ const TILE: u32 = 16u;
 // One half and the centre of the normalised window, sigma = 1.5 px (Wang et al. 2004).
 const WINDOW: array<f32, 6> = array(0.0010283801, 0.007598758, 0.036000773, 0.10936069, 0.21300553, 0.26601172);
 
-fn tap(i: u32) -> f32 {
-    return WINDOW[select(i, 10u - i, i > 5u)];
-}
-
 fn tile_origin(tile: u32) -> vec2i {
     return vec2i(i32(tile % loss.tiles.x * TILE), i32(tile / loss.tiles.x * TILE));
 }
