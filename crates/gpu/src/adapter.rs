@@ -31,13 +31,21 @@ pub struct AdapterReport {
     pub obstacle: Option<String>,
 }
 
+/// Invocations of a subgroup at least, for the kernels that reduce by subgroups.
+const LEAST_SUBGROUP: u32 = 8;
+
 impl AdapterReport {
+    /// Whether the kernels that reduce by subgroups run here.
+    pub(crate) fn reduces_by_subgroups(&self) -> bool {
+        self.subgroups.is_some_and(|[low, _]| low >= LEAST_SUBGROUP)
+    }
+
     /// Name of the kernel variants that this adapter gets.
     pub fn path(&self) -> &'static str {
-        match (&self.obstacle, self.subgroups) {
+        match (&self.obstacle, self.reduces_by_subgroups()) {
             (Some(_), _) => "cannot be used",
-            (None, Some(_)) => "subgroup reductions",
-            (None, None) => "shared-memory reductions",
+            (None, true) => "subgroup reductions",
+            (None, false) => "shared-memory reductions",
         }
     }
 }

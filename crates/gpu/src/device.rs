@@ -120,7 +120,7 @@ impl Gpu {
 
     /// Whether the subgroup variants of the kernels run here.
     pub(crate) fn has_subgroups(&self) -> bool {
-        self.report.subgroups.is_some()
+        self.report.reduces_by_subgroups()
     }
 
     /// Bytes moved so far.

@@ -1,5 +1,5 @@
 // Blends each tile's splats into the image.
-// Floor: 8 B per pair and 48 B per pair through the cache, 20 B per pixel written; about 20 operations per pair and
+// Floor: 8 B per pair and 48 B per pair through the cache, 20 B per pixel written (16 more per part of a list); about 20 operations per pair and
 // pixel.
 //
 // twin: rasterizer::blend::walk
@@ -18,6 +18,8 @@
 @group(0) @binding(5) var<storage, read_write> pixels: array<vec4f>;
 // Number of list entries up to the last one that counts.
 @group(0) @binding(6) var<storage, read_write> last: array<u32>;
+// At its end, per part of a list but the first: colour and transmittance where it begins.
+@group(0) @binding(7) var<storage, read_write> entries: array<f32>;
 
 var<workgroup> open_pixels: atomic<u32>;
 var<workgroup> any_open: u32;
@@ -36,6 +38,20 @@ fn show(slot: u32, place: vec2u, first: vec2u, row: u32, blended: vec4f, counted
     last[at] = counted;
 }
 
+fn keep(at: u32, values: vec4f) {
+    entries[at] = values.x;
+    entries[at + TILE] = values.y;
+    entries[at + 2u * TILE] = values.z;
+    entries[at + 3u * TILE] = values.w;
+}
+
+fn keep_state(slot: u32, part: u32, place: vec2u, blended: Blended) {
+    keep(state_at(slot, part, 0u, place), blended.red);
+    keep(state_at(slot, part, 1u, place), blended.green);
+    keep(state_at(slot, part, 2u, place), blended.blue);
+    keep(state_at(slot, part, 3u, place), blended.transmittance);
+}
+
 @compute @workgroup_size(64)
 fn blend(
     @builtin(workgroup_id) group: vec3u,
@@ -47,12 +63,14 @@ fn blend(
     if slot < view.slots {
         tile = slots[slot];
     }
-    let first_pixel = tile_origin(tile.x) + local_column(local);
+    let place = local_column(local);
+    let first_pixel = tile_origin(tile.x) + place;
     let centres = column_from(first_pixel);
     let inside = column_in_image(first_pixel) & vec4<bool>(slot < view.slots);
     var blended = nothing_blended(inside);
     var counted = vec4u(0u);
     let length = tile.z - tile.y;
+    let part = part_length(length);
     for (var first = 0u; first < length; first += BATCH) {
         if local == 0u {
             atomicStore(&open_pixels, 0u);
@@ -73,6 +91,9 @@ fn blend(
         if workgroupUniformLoad(&any_open) == 0u {
             break;
         }
+        if first > 0u && first % part == 0u {
+            keep_state(slot, first / part, place, blended);
+        }
         let batch = min(BATCH, length - first);
         for (var k = 0u; k < batch; k++) {
             let alpha = alphas_at(k, centres).alpha;
@@ -82,7 +103,6 @@ fn blend(
             }
         }
     }
-    let place = local_column(local);
     if inside.x {
         show(slot, place, first_pixel, 0u, pixel_x(blended), counted.x);
     }

@@ -11,5 +11,5 @@ fn blend_backward(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    differentiate_tile(linear_group(group, groups), local);
+    differentiate_part(linear_group(group, groups), local);
 }

@@ -13,7 +13,8 @@ fn blend_backward_subgroups(
     @builtin(subgroup_id) subgroup: u32,
     @builtin(num_subgroups) subgroups: u32,
     @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_size) size: u32,
 ) {
-    place_in_subgroups(subgroup, subgroups, lane);
-    differentiate_tile(linear_group(group, groups), local);
+    place_in_subgroups(subgroup, subgroups, lane, size);
+    differentiate_part(linear_group(group, groups), local);
 }

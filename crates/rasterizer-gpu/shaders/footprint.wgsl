@@ -11,5 +11,5 @@ fn footprint(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    sum_tile(linear_group(group, groups), local);
+    sum_part(linear_group(group, groups), local);
 }

@@ -13,7 +13,8 @@ fn footprint_subgroups(
     @builtin(subgroup_id) subgroup: u32,
     @builtin(num_subgroups) subgroups: u32,
     @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_size) size: u32,
 ) {
-    place_in_subgroups(subgroup, subgroups, lane);
-    sum_tile(linear_group(group, groups), local);
+    place_in_subgroups(subgroup, subgroups, lane, size);
+    sum_part(linear_group(group, groups), local);
 }

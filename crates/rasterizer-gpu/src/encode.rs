@@ -43,7 +43,8 @@ pub fn prepare(
 pub fn render(commands: &mut Commands, scene: &GpuScene, view: &GpuView, scratch: &Scratch) {
     bin_to_tiles(commands, scene, view, scratch);
     let s = scratch;
-    let buffers = [&view.uniform, &s.splats, &s.list, &view.slots, &view.layers, &s.pixels, &s.last];
+    let buffers =
+        [&view.uniform, &s.splats, &s.list, &view.slots, &view.layers, &s.pixels, &s.last, &s.entries];
     commands.run(&kernels::BLEND, &buffers, Groups::of(view.slots(), 1));
 }
 
@@ -186,7 +187,7 @@ pub fn backward(
         &s.entries,
     ];
     let kernel = commands.pick(&kernels::BLEND_BACKWARD, &kernels::BLEND_BACKWARD_SUBGROUPS);
-    commands.run(kernel, &blend, Groups::of(view.slots(), 1));
+    commands.run(kernel, &blend, Groups::of(view.parts(), 1));
     let project = [
         &view.uniform,
         &scene.geometry,

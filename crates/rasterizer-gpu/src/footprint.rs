@@ -111,7 +111,7 @@ impl GpuRasterizer<'_> {
         let sum = [&view.uniform, &span, &s.splats, &s.list, &view.slots, &s.last, planes.values, &s.entries];
         let mut commands = gpu.commands();
         let kernel = commands.pick(&kernels::FOOTPRINT, &kernels::FOOTPRINT_SUBGROUPS);
-        commands.run(kernel, &sum, Groups::of(view.slots(), 1));
+        commands.run(kernel, &sum, Groups::of(view.parts(), 1));
         let total = [&view.uniform, &s.extents, &s.entries, totals];
         commands.run(&kernels::FOOTPRINT_TOTALS, &total, Groups::Items(scene.count));
         gpu.submit(commands)

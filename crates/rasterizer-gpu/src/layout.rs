@@ -32,6 +32,10 @@ pub(crate) struct ViewUniform {
     pub dropout_gain: f32,
     pub pixel_filter: f32,
     pub beyond: f32,
+    pub parts: u32,
+    pub padding_a: u32,
+    pub padding_b: u32,
+    pub padding_c: u32,
 }
 
 /// `Geometry` of `shaders/common/view.wgsl`: a Gaussian's parameters other than colour, their gradients or moments.

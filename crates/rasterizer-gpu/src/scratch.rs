@@ -1,8 +1,9 @@
 //! The working memory of a render, and how it grows when a view turns out to need more.
 
 use crate::layout::{Job, SPLAT_BYTES, plan};
+use crate::view::STATES;
 use ffgs_gpu::{Buffer, Gpu, GpuError};
-use ffgs_rasterizer::constants::ENTRY;
+use ffgs_rasterizer::constants::{AREA, ENTRY};
 
 /// Elements of one block of scan and sort.
 pub(crate) const BLOCK: usize = 1024;
@@ -126,7 +127,7 @@ impl Scratch {
             pairs: [make("tile pairs", pairs, 8)?, make("tile pairs", pairs, 8)?],
             pair_splats: make("splats of pairs", pairs, 4)?,
             list: make("tile lists", pairs, 8)?,
-            entries: make("gradients of pairs", pairs, ENTRY as u64 * 4)?,
+            entries: gpu.buffer("gradients of pairs", (pairs * ENTRY + STATES * AREA * 4) as u64 * 4)?,
             pixels: make("image", pixels, 16)?,
             upstream: make("image gradient", pixels, 16)?,
             last: make("last contributions", pixels, 4)?,

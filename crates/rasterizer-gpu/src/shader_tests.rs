@@ -18,7 +18,8 @@ fn host_structs_have_the_layout_of_the_shaders() {
     let view = host_layout!(
         ViewUniform, rotation, center_high, count, center_low, sh_degree, focal, principal, slope_low, slope_high,
         size, tiles, background, sh_stride, antialiased, slots, span_capacity, pair_capacity, layered, stamp,
-        with_pose, dropout_threshold, dropout_draw, dropout_gain, pixel_filter, beyond,
+        with_pose, dropout_threshold, dropout_draw, dropout_gain, pixel_filter, beyond, parts, padding_a, padding_b,
+        padding_c,
     );
     let twins = [
         ("View", view),

@@ -9,6 +9,12 @@ use ffgs_rasterizer::{Background, TileMask, pixel_filter};
 /// `NO_SLOT` of the shaders.
 pub(crate) const NO_SLOT: u32 = u32::MAX;
 
+/// Parts of the lists of all tiles together, unless there are more tiles: enough for every processor of a large device to have
+/// several, as the backward pass of a part waits for itself most of the time.
+pub(crate) const STATES: usize = 4096;
+/// Parts of a list at most. A part has at least a batch of 64 splats.
+const MOST_PARTS: usize = 64;
+
 /// A view on the device: camera, the tiles to compute, and what lies behind and in front of the Gaussians.
 #[derive(Clone, Debug)]
 pub struct GpuView {
@@ -75,7 +81,8 @@ impl GpuView {
         let mut tile_slots = vec![NO_SLOT; count as usize];
         tiles.iter().enumerate().for_each(|(slot, &tile)| tile_slots[tile as usize] = slot as u32);
         let slots: Vec<[u32; 4]> = tiles.iter().map(|&tile| [tile, 0, 0, 0]).collect();
-        let constants = ViewUniform { slots: tiles.len() as u32, ..constants };
+        let parts = (STATES / tiles.len().max(1)).clamp(1, MOST_PARTS) as u32;
+        let constants = ViewUniform { slots: tiles.len() as u32, parts, ..constants };
         Ok(Self {
             uniform: gpu.uniform("view", &constants)?,
             constants,
@@ -95,6 +102,11 @@ impl GpuView {
     /// Number of computed tiles.
     pub fn slots(&self) -> usize {
         self.tiles.len()
+    }
+
+    /// Parts of the lists of all computed tiles.
+    pub(crate) fn parts(&self) -> usize {
+        self.tiles.len() * self.constants.parts as usize
     }
 
     /// The uniform with camera and sizes, for kernels of other crates.

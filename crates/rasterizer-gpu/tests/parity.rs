@@ -55,6 +55,13 @@ fn scene(n: usize, sh_degree: usize, seed: u64) -> Gaussians {
     out
 }
 
+/// So faint that hundreds show in a pixel: lists of many parts, all of which count.
+fn faint(n: usize, seed: u64) -> Gaussians {
+    let mut out = scene(n, 1, seed);
+    out.opacity_logits.iter_mut().for_each(|logit| *logit = -4.0 + 0.1 * *logit);
+    out
+}
+
 /// Long Gaussians whose centres lie outside the image, near the camera, and that run along the view.
 fn beside(n: usize, seed: u64) -> Gaussians {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -198,6 +205,13 @@ fn random_scenes_agree() {
             options: all,
         },
         Case {
+            name: "faint",
+            gaussians: faint(3000, 8),
+            background: Background::Image(&behind),
+            tiles: Some(foreground()),
+            options: low,
+        },
+        Case {
             name: "dropout",
             gaussians: scene(300, 1, 5),
             background: Background::Colour([0.3, 0.1, 0.7]),
@@ -241,8 +255,13 @@ fn random_scenes_agree() {
 #[test]
 #[ignore = "needs a GPU"]
 fn footprints_and_top_contributors_agree() {
+    sums_and_contributors_agree(&scene(200, 0, 11));
+    sums_and_contributors_agree(&faint(2000, 12));
+}
+
+fn sums_and_contributors_agree(gaussians: &Gaussians) {
     let gpu = Gpu::for_test();
-    let (camera, gaussians, tiles) = (camera(), scene(200, 0, 11), foreground());
+    let (camera, tiles) = (camera(), foreground());
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
     // More channels than one pass sums; the first one has zeros.
     let pictures: Vec<PlanarImage> = (20..24).map(picture).collect();
@@ -252,18 +271,18 @@ fn footprints_and_top_contributors_agree() {
     let channels: Vec<&[f32]> = planes.iter().map(Vec::as_slice).collect();
     let cpu = CpuRasterizer::new(RenderOptions::default());
     let (mut tape, mut expected) = (RenderTape::default(), ffgs_rasterizer::FootprintSums::default());
-    cpu.accumulate(&gaussians, &view, &channels, &mut tape, &mut expected);
-    let top = cpu.top_contributors(&gaussians, &view, 5, &mut tape);
+    cpu.accumulate(gaussians, &view, &channels, &mut tape, &mut expected);
+    let top = cpu.top_contributors(gaussians, &view, 5, &mut tape);
     for gpu in [gpu, Gpu::for_test().without_subgroups()] {
         let mut rasterizer = GpuRasterizer::new(&gpu, RenderOptions::default()).unwrap();
-        let found = rasterizer.accumulate(&gaussians, &view, &channels).unwrap();
+        let found = rasterizer.accumulate(gaussians, &view, &channels).unwrap();
         for i in 0..gaussians.len() {
             assert!(found.hits(i).abs_diff(expected.hits(i)) <= 2, "hits of {i}");
             for (a, b) in found.of(i).iter().zip(expected.of(i)) {
                 assert!((a - b).abs() <= 1e-2 + 1e-4 * b.abs(), "sums of {i}: {a}, not {b}");
             }
         }
-        let found = rasterizer.top_contributors(&gaussians, &view, 5).unwrap();
+        let found = rasterizer.top_contributors(gaussians, &view, 5).unwrap();
         compare_pixels("top weights", &found.weights, &top.weights);
         let same = found.indices.iter().zip(&top.indices).filter(|(a, b)| a == b).count();
         assert!(same as f64 >= 0.998 * top.indices.len() as f64, "{same} of {}", top.indices.len());

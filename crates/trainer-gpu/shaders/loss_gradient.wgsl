@@ -26,7 +26,7 @@ fn load(origin: vec2i, channel: u32, local: u32) {
         if in_image(p) {
             let pixel = index_of(p);
             if is_counted(pixel) {
-                partial = partials[pixel * 3u + channel].xyz;
+                partial = partials[partial_of(pixel, channel)].xyz;
             }
         }
         maps[i * 3u] = partial.x;

@@ -11,7 +11,7 @@
 @group(0) @binding(2) var<storage, read> region: array<u32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read> pixels: array<vec4f>;
-// Per pixel and channel: derivatives by the means of x, x^2 + y^2 and x y.
+// Per channel and pixel: derivatives by the means of x, x^2 + y^2 and x y.
 @group(0) @binding(5) var<storage, read_write> partials: array<vec4f>;
 // Per tile and channel: sums of SSIM, of |x - y|, of (x - y)^2.
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;
@@ -104,7 +104,7 @@ fn loss_statistics(
         if is_counted(pixel) {
             let s = similarity(down_column(local));
             ssim = s.w;
-            partials[pixel * 3u + channel] = vec4f(s.xyz, 0.0);
+            partials[partial_of(pixel, channel)] = vec4f(s.xyz, 0.0);
         }
     }
     let total = sum_group(vec2f(ssim, 0.0), local);

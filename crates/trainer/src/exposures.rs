@@ -10,6 +10,8 @@ use rayon::prelude::*;
 const POINTS: usize = 20_000;
 /// Views of a point at most.
 const MOST_VIEWS: usize = 16;
+/// Pixels of a view beyond which it is reduced: more of them would not make more points.
+const MOST_PIXELS: usize = 640 * 360;
 /// Contributions of a pixel that its depth is the mean of.
 const CONTRIBUTIONS: usize = 8;
 /// Alpha from which a pixel shows a surface.
@@ -45,6 +47,8 @@ struct Sight {
 /// colour, each view one offset per channel, and the robust squared difference is least: a surface that reflects, or a depth that is wrong,
 /// is outvoted. A view that shares next to nothing with others is neutral.
 pub fn estimate_exposures(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<Exposure> {
+    let views: Vec<TrainingView> = views.par_iter().map(|view| view.reduced(factor(view))).collect();
+    let views = views.as_slice();
     let depths: Vec<Vec<f32>> = views.iter().map(|view| depths(gaussians, &view.camera)).collect();
     let points: Vec<Vec<(usize, usize)>> =
         (0..views.len()).into_par_iter().flat_map_iter(|view| points(view, views, &depths)).collect();
@@ -62,6 +66,11 @@ pub fn estimate_exposures(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<
     (0..views.len()).map(|view| Exposure { offsets: [0, 1, 2].map(|c| channels[c][view]) }).collect()
 }
 
+/// How far a view is reduced.
+fn factor(view: &TrainingView) -> usize {
+    (view.camera.size().pixels() as f64 / MOST_PIXELS as f64).sqrt().ceil() as usize
+}
+
 impl Sight {
     fn new(view: usize, value: f64) -> Option<Self> {
         (value > CLIPPED && value < 1.0 - CLIPPED).then(|| Self {
@@ -77,12 +86,13 @@ fn depths(gaussians: &Gaussians, camera: &Camera) -> Vec<f32> {
     let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
     let top = rasterizer.top_contributors(gaussians, &view, CONTRIBUTIONS, &mut RenderTape::default());
-    let depth_of = |index: i32| {
-        let mean = gaussians.means[usize::try_from(index).ok()?];
+    let of_gaussian = |mean: &[f32; 3]| {
         camera.project(DVec3::from(mean.map(f64::from))).map(|projection| projection.depth as f32)
     };
-    let pixels = top.indices.chunks(CONTRIBUTIONS).zip(top.weights.chunks(CONTRIBUTIONS));
+    let depths: Vec<Option<f32>> = gaussians.means.par_iter().map(of_gaussian).collect();
+    let pixels = top.indices.par_chunks(CONTRIBUTIONS).zip(top.weights.par_chunks(CONTRIBUTIONS));
     let depth = |(indices, weights): (&[i32], &[f32])| {
+        let depth_of = |index: i32| depths[usize::try_from(index).ok()?];
         let seen = indices.iter().zip(weights).filter_map(|(index, w)| Some((depth_of(*index)?, w)));
         let (sum, alpha) = seen.fold((0.0, 0.0), |(sum, alpha), (depth, w)| (sum + depth * w, alpha + w));
         if alpha > OPAQUE { sum / alpha } else { 0.0 }

@@ -1,6 +1,7 @@
 // From derivatives of pixels to derivatives per (tile, splat) entry, front to back over the same lists as `blend`.
 // `behind` starts as everything that a pixel shows, weighted by its derivative, and loses each contribution in turn: no
-// transmittance is divided back out of a product. CPU twin: rasterizer/src/backward.rs.
+// transmittance is divided back out of a product. A list is differentiated in parts side by side, each from where `blend`
+// says that it begins: few tiles would leave most of a device idle. CPU twin: rasterizer/src/backward.rs.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
@@ -50,8 +51,14 @@ fn sum_of(v: vec4f) -> f32 {
     return (v.x + v.y) + (v.z + v.w);
 }
 
-// `slot` must not differ inside a workgroup.
-fn differentiate_tile(slot: u32, local: u32) {
+fn state_of(at: u32) -> vec4f {
+    return vec4f(entries[at], entries[at + TILE], entries[at + 2u * TILE], entries[at + 3u * TILE]);
+}
+
+// Part `job % parts` of the list of slot `job / parts`; `job` must not differ inside a workgroup.
+fn differentiate_part(job: u32, local: u32) {
+    let slot = job / view.parts;
+    let part = job % view.parts;
     var tile = vec4u(0u);
     if slot < view.slots {
         tile = slots[slot];
@@ -80,8 +87,19 @@ fn differentiate_tile(slot: u32, local: u32) {
     if local == 0u {
         longest_shared = atomicLoad(&longest);
     }
-    let length = workgroupUniformLoad(&longest_shared);
-    for (var first = 0u; first < length; first += BATCH) {
+    let reached = workgroupUniformLoad(&longest_shared);
+    let size = part_length(tile.z - tile.y);
+    let begin = min(part * size, tile.z - tile.y);
+    let end = min(begin + size, tile.z - tile.y);
+    let length = clamp(reached, begin, end);
+    if begin > 0u && begin < length {
+        let so_far = red * state_of(state_at(slot, part, 0u, place))
+            + green * state_of(state_at(slot, part, 1u, place))
+            + blue * state_of(state_at(slot, part, 2u, place));
+        behind -= so_far;
+        transmittance = state_of(state_at(slot, part, 3u, place));
+    }
+    for (var first = begin; first < length; first += BATCH) {
         workgroupBarrier();
         let at = tile.y + first + local;
         if at < tile.z {
@@ -131,7 +149,7 @@ fn differentiate_tile(slot: u32, local: u32) {
         }
     }
     // Entries that no pixel reached.
-    for (var row = local; row < (tile.z - tile.y - length) * ENTRY; row += 64u) {
+    for (var row = local; row < (end - length) * ENTRY; row += 64u) {
         let entry = list[tile.y + length + row / ENTRY].x;
         entries[entry * ENTRY + row % ENTRY] = 0.0;
     }

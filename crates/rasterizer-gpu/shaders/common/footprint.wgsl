@@ -48,12 +48,20 @@ fn counted_at(inside: bool, pixel: u32) -> u32 {
     return last[pixel];
 }
 
-fn sum_tile(slot: u32, local: u32) {
+fn transmittance_at(at: u32) -> vec4f {
+    return vec4f(entries[at], entries[at + TILE], entries[at + 2u * TILE], entries[at + 3u * TILE]);
+}
+
+// Part `job % parts` of the list of slot `job / parts`; `job` must not differ inside a workgroup.
+fn sum_part(job: u32, local: u32) {
+    let slot = job / view.parts;
+    let part = job % view.parts;
     var tile = vec4u(0u);
     if slot < view.slots {
         tile = slots[slot];
     }
-    let first_pixel = tile_origin(tile.x) + local_column(local);
+    let place = local_column(local);
+    let first_pixel = tile_origin(tile.x) + place;
     let centres = column_from(first_pixel);
     let inside = column_in_image(first_pixel) & vec4<bool>(slot < view.slots);
     let at = first_pixel.y * view.size.x + first_pixel.x + vec4u(0u, 1u, 2u, 3u) * view.size.x;
@@ -78,8 +86,15 @@ fn sum_tile(slot: u32, local: u32) {
         counted_at(inside.w, at.w),
     );
     var transmittance = vec4f(1.0);
-    let length = tile.z - tile.y;
-    for (var first = 0u; first < length; first += BATCH) {
+    let size = part_length(tile.z - tile.y);
+    let begin = min(part * size, tile.z - tile.y);
+    let length = min(begin + size, tile.z - tile.y);
+    if begin > 0u {
+        // Stale where no pixel came so far: none of them counts then.
+        transmittance = transmittance_at(state_at(slot, part, 3u, place));
+        counted = select(counted, vec4u(0u), transmittance <= vec4f(bitcast<f32>(planes.z)));
+    }
+    for (var first = begin; first < length; first += BATCH) {
         workgroupBarrier();
         let at = tile.y + first + local;
         if at < tile.z {

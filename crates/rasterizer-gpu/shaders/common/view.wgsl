@@ -35,6 +35,11 @@ struct View {
     pixel_filter: f32,
     // Factor of distances from the frustum: 0 where every projection is linear around the centre, else 1.
     beyond: f32,
+    // Parts of a tile's list that are differentiated side by side, at most.
+    parts: u32,
+    padding_a: u32,
+    padding_b: u32,
+    padding_c: u32,
 }
 
 // A Gaussian's parameters other than its colour; also their gradients and moments.

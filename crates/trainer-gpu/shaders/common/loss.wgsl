@@ -20,6 +20,11 @@ fn index_of(p: vec2i) -> u32 {
     return u32(p.y) * loss.size.x + u32(p.x);
 }
 
+// Where the derivatives of a channel of a pixel are: plane by plane, so that neighbours are read together.
+fn partial_of(pixel: u32, channel: u32) -> u32 {
+    return channel * loss.size.x * loss.size.y + pixel;
+}
+
 // Whether a pixel counts: one bit each, row by row.
 fn is_counted(pixel: u32) -> bool {
     return (region[pixel >> 5u] >> (pixel & 31u) & 1u) != 0u;
