@@ -3,6 +3,7 @@
 use crate::{SizeMismatch, same_size};
 use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
 use rayon::prelude::*;
+use std::ops::Range;
 use thiserror::Error;
 
 /// Taps of the separable Gaussian window.
@@ -224,16 +225,19 @@ struct Local {
 
 impl Channel<'_> {
     fn map(&self, border: Border) -> Vec<f64> {
-        let (moments, margin, width) = (self.moments(), border.margin(), self.width);
-        let row = |y: usize| (y * width + margin..(y + 1) * width - margin).into_par_iter();
-        let rows = (margin..self.height - margin).into_par_iter();
-        rows.flat_map(row).map(|i| moments.at(i).ssim).collect()
+        let (margin, width) = (border.margin(), self.width);
+        let band = |rows: Range<usize>| {
+            let moments = self.moments(rows.clone());
+            let inside = (0..rows.len()).flat_map(|y| y * width + margin..(y + 1) * width - margin);
+            inside.map(|i| moments.at(i).ssim).collect::<Vec<f64>>()
+        };
+        bands(margin..self.height - margin).flat_map_iter(band).collect()
     }
 
     /// The map, and the gradient of its sum. The window is symmetric and the padding zero, so the adjoint of the
     /// filter is the filter itself.
     fn map_and_gradient(&self, border: Border) -> (Vec<f64>, Vec<f64>) {
-        let moments = self.moments();
+        let moments = self.moments(0..self.height);
         let pixels = self.height * self.width;
         let mut by = [vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]];
         let mut map = Vec::with_capacity(pixels);
@@ -242,7 +246,10 @@ impl Channel<'_> {
             map.push(local.ssim);
             [by[0][i], by[1][i], by[2][i]] = [local.by_mean, local.by_square, local.by_product];
         }
-        let [mean, square, product] = by.map(|plane| self.filter(&plane));
+        let filtered = |plane: Vec<f64>| -> Vec<f64> {
+            bands(0..self.height).flat_map_iter(|rows| self.filter(|i| plane[i], rows)).collect()
+        };
+        let [mean, square, product] = by.map(filtered);
         let chain = |i: usize| {
             mean[i] + 2.0 * f64::from(self.rendered[i]) * square[i] + f64::from(self.target[i]) * product[i]
         };
@@ -256,39 +263,41 @@ impl Channel<'_> {
         (margin..self.height - margin).flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    fn moments(&self) -> Moments {
-        let filtered = |a: &[f32], b: &[f32]| {
-            let product: Vec<f64> = a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).collect();
-            self.filter(&product)
-        };
-        let mean = |a: &[f32]| self.filter(&a.iter().copied().map(f64::from).collect::<Vec<_>>());
+    /// Of the pixels of some rows.
+    fn moments(&self, rows: Range<usize>) -> Moments {
+        let value = |plane: &[f32], i: usize| f64::from(plane[i]);
+        let mean = |a: &[f32]| self.filter(|i| value(a, i), rows.clone());
+        let product = |a: &[f32], b: &[f32]| self.filter(|i| value(a, i) * value(b, i), rows.clone());
         Moments {
             mean: [mean(self.rendered), mean(self.target)],
-            square: [filtered(self.rendered, self.rendered), filtered(self.target, self.target)],
-            product: filtered(self.rendered, self.target),
+            square: [product(self.rendered, self.rendered), product(self.target, self.target)],
+            product: product(self.rendered, self.target),
         }
     }
 
-    /// Convolution with the window, zero outside the image.
-    fn filter(&self, plane: &[f64]) -> Vec<f64> {
+    /// Convolution of a plane with the window at the pixels of some rows; zero outside the image.
+    fn filter(&self, value: impl Fn(usize) -> f64, rows: Range<usize>) -> Vec<f64> {
         let (taps, width) = (window(), self.width);
-        let mut rows = vec![0.0; plane.len()];
-        rows.par_chunks_exact_mut(width).zip(plane.par_chunks_exact(width)).for_each(|(out, row)| {
+        let near = rows.start.saturating_sub(RADIUS)..(rows.end + RADIUS).min(self.height);
+        let mut across = vec![0.0; near.len() * width];
+        let mut row = vec![0.0; width];
+        for (j, out) in near.clone().zip(across.chunks_exact_mut(width)) {
+            row.iter_mut().zip(j * width..).for_each(|(v, i)| *v = value(i));
             for (t, tap) in taps.iter().enumerate() {
                 // Pixel x takes this tap of its neighbour x + t - RADIUS, where the row has one.
                 let out = out.get_mut(RADIUS.saturating_sub(t)..).unwrap_or_default();
                 let source = row.get(t.saturating_sub(RADIUS)..).unwrap_or_default();
                 out.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
             }
-        });
-        let mut out = vec![0.0; plane.len()];
-        out.par_chunks_exact_mut(width).enumerate().for_each(|(y, line)| {
+        }
+        let mut out = vec![0.0; rows.len() * width];
+        for (y, line) in rows.zip(out.chunks_exact_mut(width)) {
             for j in reach(y, self.height) {
                 let tap = taps[j + RADIUS - y];
-                let source = &rows[j * width..(j + 1) * width];
+                let source = &across[(j - near.start) * width..(j - near.start + 1) * width];
                 line.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
             }
-        });
+        }
         out
     }
 }
@@ -309,8 +318,20 @@ impl Moments {
     }
 }
 
+/// Rows that are filtered together: their planes stay in a processor's cache, and ten rows around them are filtered twice.
+const BAND: usize = 32;
+
+/// Bands of some rows, for all processors.
+fn bands(rows: Range<usize>) -> impl ParallelIterator<Item = Range<usize>> {
+    let Range { start, end } = rows;
+    (0..(end - start).div_ceil(BAND)).into_par_iter().map(move |band| {
+        let first = start + band * BAND;
+        first..(first + BAND).min(end)
+    })
+}
+
 /// Positions within the window's reach of `i` that lie in `0..n`.
-fn reach(i: usize, n: usize) -> std::ops::Range<usize> {
+fn reach(i: usize, n: usize) -> Range<usize> {
     i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(n)
 }
 

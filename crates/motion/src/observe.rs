@@ -79,7 +79,8 @@ pub(crate) fn rows(observations: &mut [Observations]) -> Vec<Vec<Observed<'_>>> 
     rows
 }
 
-fn views_at_once(input: &MotionInput) -> usize {
+/// Views whose motion fields are in memory together.
+pub(crate) fn views_at_once(input: &MotionInput) -> usize {
     let pixels = input.step.before.iter().map(|v| v.mask.size().pixels()).max().unwrap_or(1);
     let bytes = pixels * input.trackers.len().max(1) * size_of::<[f32; 4]>();
     (FIELD_BYTES / bytes).max(1)

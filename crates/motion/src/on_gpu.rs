@@ -2,14 +2,15 @@
 //! stay on the device; tracks go there, and a Gaussian's sums come back.
 
 use crate::MotionInput;
-use crate::fields::{count, load};
-use crate::observe::rows;
+use crate::fields::{Loaded, count, load};
+use crate::observe::{rows, views_at_once};
 use anyhow::Result;
 use ffgs_core::{Gaussians, Observations, StageLog, ViewMotion, stage};
 use ffgs_gpu::Gpu;
 use ffgs_motion_gpu::ViewFields;
 use ffgs_rasterizer::{Background, Observed, RenderOptions, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, Planes, SceneDevice};
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// The GPU of `input`, if there is one and the configuration has kernels; the CPU does the rest.
@@ -21,8 +22,8 @@ pub(crate) fn device<'a>(input: &MotionInput<'a>, log: &mut StageLog) -> Option<
     input.gpu.filter(|_| ffgs_motion_gpu::supports(&input.config.voronoi, input.trackers.len()))
 }
 
-/// What every tracker says of every Gaussian of `gaussians` in every view. The device works on while the host loads the
-/// next file: the time of association holds what the fields still cost.
+/// What every tracker says of every Gaussian of `gaussians` in every view. Files are read for a group of views at a time, by all
+/// processors; the device works on meanwhile, so that the time of association holds what the fields still cost.
 pub(crate) fn observe(
     device: &SceneDevice,
     input: &MotionInput,
@@ -36,11 +37,17 @@ pub(crate) fn observe(
     let scene = GpuScene::joined(gpu, &[&moving, &device.layer(input.static_layer)?])?;
     let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
     let mut on_device = OnDevice { gpu, scene, rasterizer: GpuRasterizer::new(gpu, options)? };
-    for (v, mut rows) in rows(&mut observations).into_iter().enumerate() {
-        if input.step.before[v].mask.count() > 0 {
-            let fields = view_fields(gpu, input, v, log)?;
+    let mut rows = rows(&mut observations);
+    let views: Vec<usize> =
+        (0..input.step.before.len()).filter(|&v| input.step.before[v].mask.count() > 0).collect();
+    for group in views.chunks(views_at_once(input)) {
+        let start = Instant::now();
+        let loaded: Vec<_> = group.par_iter().map(|&v| load(input, v)).collect::<Result<_>>()?;
+        log.since(stage::LOAD, start);
+        for (&v, files) in group.iter().zip(loaded) {
+            let fields = view_fields(gpu, input, v, files, log)?;
             let start = Instant::now();
-            on_device.associate(input, v, &fields, &mut rows)?;
+            on_device.associate(input, v, &fields, &mut rows[v])?;
             log.since(stage::ASSOCIATION, start);
         }
     }
@@ -93,12 +100,10 @@ fn view_fields<'a>(
     gpu: &'a Gpu,
     input: &MotionInput,
     v: usize,
+    files: Vec<Loaded>,
     log: &mut StageLog,
 ) -> Result<ViewFields<'a>> {
     let mask = &input.step.before[v].mask;
-    let start = Instant::now();
-    let files = load(input, v)?;
-    log.since(stage::LOAD, start);
     let start = Instant::now();
     let fields = ViewFields::new(gpu, mask, input.trackers.len())?;
     for (l, file) in files.into_iter().enumerate() {
