@@ -1,6 +1,7 @@
 //! A photograph with its camera and mask, and its reduction by whole blocks of pixels.
 
 use crate::{Camera, ImageRgb8, ImageSize, Mask};
+use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// One view of a frame: its camera, photograph and foreground.
@@ -32,7 +33,7 @@ impl TrainingView {
         if factor <= 1 {
             return Cow::Borrowed(views);
         }
-        Cow::Owned(views.iter().map(|view| view.reduced(factor)).collect())
+        Cow::Owned(views.par_iter().map(|view| view.reduced(factor)).collect())
     }
 }
 

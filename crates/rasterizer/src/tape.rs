@@ -72,6 +72,11 @@ impl RenderTape {
         &self.image
     }
 
+    /// The same, which is then gone from here: the next render makes another.
+    pub fn take_image(&mut self) -> PlanarImage {
+        std::mem::replace(&mut self.image, Self::default().image)
+    }
+
     /// What the Gaussians let through per pixel, row-major; alpha is `1 -` this.
     pub fn transmittance(&self) -> &[f32] {
         &self.transmittance

@@ -10,6 +10,7 @@ use ffgs_trainer::{
     sky_picture, train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Device of each training lane: GPU i mod n for dynamic, static, sky; none = the CPU. GPU 0 does the rest.
@@ -147,7 +148,8 @@ impl<'a> Devices<'a> {
     /// When the device fails.
     pub fn render(self, scene: &Scene, cameras: &[Camera]) -> Result<Vec<PlanarImage>> {
         let options = RenderOptions::default();
-        let behind: Vec<PlanarImage> = cameras.iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
+        let behind: Vec<PlanarImage> =
+            cameras.par_iter().map(|camera| sky_picture(&scene.sky, camera)).collect();
         let view = |(camera, image)| View { camera, background: Background::Image(image), tiles: None };
         let views: Vec<View> = cameras.iter().zip(&behind).map(view).collect();
         if let Some(device) = self.gpu(0) {
@@ -161,7 +163,7 @@ impl<'a> Devices<'a> {
         let (rasterizer, mut tape) = (CpuRasterizer::new(options), RenderTape::default());
         let render = |view| {
             rasterizer.render_layers(&scene.layers(), view, &mut tape);
-            tape.image().clone()
+            tape.take_image()
         };
         Ok(views.iter().map(render).collect())
     }
