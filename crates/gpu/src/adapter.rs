@@ -233,6 +233,13 @@ mod tests {
     }
 
     #[test]
+    fn subgroups_of_four_reduce_in_shared_memory() {
+        let path = |subgroups| AdapterReport { subgroups, ..adapter(0, false, None) }.path();
+        assert_eq!(path(Some([8, 32])), "subgroup reductions");
+        assert_eq!([path(Some([4, 32])), path(None)], ["shared-memory reductions"; 2]);
+    }
+
+    #[test]
     fn too_small_limits_are_named() {
         let small = wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..wgpu::Limits::default() };
         assert_eq!(obstacle(&small).as_deref(), Some("4 storage buffers, 8 are needed"));

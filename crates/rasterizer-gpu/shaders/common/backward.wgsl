@@ -51,10 +51,6 @@ fn sum_of(v: vec4f) -> f32 {
     return (v.x + v.y) + (v.z + v.w);
 }
 
-fn state_of(at: u32) -> vec4f {
-    return vec4f(entries[at], entries[at + TILE], entries[at + 2u * TILE], entries[at + 3u * TILE]);
-}
-
 // Part `job % parts` of the list of slot `job / parts`; `job` must not differ inside a workgroup.
 fn differentiate_part(job: u32, local: u32) {
     let slot = job / view.parts;
@@ -93,11 +89,11 @@ fn differentiate_part(job: u32, local: u32) {
     let end = min(begin + size, tile.z - tile.y);
     let length = clamp(reached, begin, end);
     if begin > 0u && begin < length {
-        let so_far = red * state_of(state_at(slot, part, 0u, place))
-            + green * state_of(state_at(slot, part, 1u, place))
-            + blue * state_of(state_at(slot, part, 2u, place));
+        let so_far = red * state_of(slot, part, 0u, place)
+            + green * state_of(slot, part, 1u, place)
+            + blue * state_of(slot, part, 2u, place);
         behind -= so_far;
-        transmittance = state_of(state_at(slot, part, 3u, place));
+        transmittance = state_of(slot, part, 3u, place);
     }
     for (var first = begin; first < length; first += BATCH) {
         workgroupBarrier();
@@ -122,7 +118,7 @@ fn differentiate_part(job: u32, local: u32) {
                 let opacity = batch_colour[k].y;
                 let weight = select(vec4f(0.0), a.alpha * transmittance, adds);
                 let shown = red * shade.x + green * shade.y + blue * shade.z;
-                behind -= weight * shown;
+                behind -= select(vec4f(0.0), weight * shown, adds);
                 let d_alpha = transmittance * shown - behind / (1.0 - a.alpha);
                 transmittance -= weight;
                 let free = adds & (opacity * a.falloff < vec4f(MAX_ALPHA));

@@ -48,10 +48,6 @@ fn counted_at(inside: bool, pixel: u32) -> u32 {
     return last[pixel];
 }
 
-fn transmittance_at(at: u32) -> vec4f {
-    return vec4f(entries[at], entries[at + TILE], entries[at + 2u * TILE], entries[at + 3u * TILE]);
-}
-
 // Part `job % parts` of the list of slot `job / parts`; `job` must not differ inside a workgroup.
 fn sum_part(job: u32, local: u32) {
     let slot = job / view.parts;
@@ -91,7 +87,7 @@ fn sum_part(job: u32, local: u32) {
     let length = min(begin + size, tile.z - tile.y);
     if begin > 0u {
         // Stale where no pixel came so far: none of them counts then.
-        transmittance = transmittance_at(state_at(slot, part, 3u, place));
+        transmittance = state_of(slot, part, 3u, place);
         counted = select(counted, vec4u(0u), transmittance <= vec4f(bitcast<f32>(planes.z)));
     }
     for (var first = begin; first < length; first += BATCH) {

@@ -120,14 +120,3 @@ fn pixel_z(b: Blended) -> vec4f {
 fn pixel_w(b: Blended) -> vec4f {
     return vec4f(b.red.w, b.green.w, b.blue.w, b.transmittance.w);
 }
-
-// Splats of each part of a list of `length`, in whole batches.
-fn part_length(length: u32) -> u32 {
-    return max((length + view.parts * BATCH - 1u) / (view.parts * BATCH), 1u) * BATCH;
-}
-
-// Behind the entries, what the pixels show where a part begins. First number of a channel of an invocation's column.
-fn state_at(slot: u32, part: u32, channel: u32, place: vec2u) -> u32 {
-    let tile = ((slot * view.parts + part) * 4u + channel) * AREA;
-    return view.pair_capacity * ENTRY + tile + place.y * TILE + place.x;
-}
