@@ -223,6 +223,14 @@ mod tests {
     }
 
     fn photographs(wall: &Gaussians, exposures: &[Exposure]) -> Vec<TrainingView> {
+        taken_by(camera, wall, exposures)
+    }
+
+    fn taken_by(
+        camera: impl Fn(usize) -> Camera,
+        wall: &Gaussians,
+        exposures: &[Exposure],
+    ) -> Vec<TrainingView> {
         let rasterizer = CpuRasterizer::new(RenderOptions::default());
         let mut tape = RenderTape::default();
         let mut photograph = |(i, exposure): (usize, &Exposure)| {
@@ -231,7 +239,7 @@ mod tests {
             rasterizer.render(wall, &view, &mut tape);
             let mut image: PlanarImage = tape.image().clone();
             exposure.apply(&mut image);
-            TrainingView { camera, image: ImageRgb8::from(&image), mask: Mask::filled(SIZE, false) }
+            TrainingView { camera, image: ImageRgb8::from(&image), mask: Mask::filled(camera.size(), false) }
         };
         exposures.iter().enumerate().map(&mut photograph).collect()
     }
@@ -258,6 +266,21 @@ mod tests {
         let neutral = [Exposure::NEUTRAL; 4];
         let found = estimate_exposures(&wall, &photographs(&wall, &neutral));
         assert!(furthest(&found, &neutral) < 0.01, "{found:?}");
+    }
+
+    /// Larger than what is compared: reduced to half, with a column and a row that no block holds.
+    #[test]
+    fn exposures_of_large_photographs_are_found() {
+        let (wall, size) = (wall(), ImageSize { width: 769, height: 513 });
+        let large = |i: usize| {
+            let intrinsics = Intrinsics { fx: 640.0, fy: 640.0, cx: 384.0, cy: 256.0 };
+            let pose = DMat4::from_translation(DVec3::X * (0.5 - 0.25 * i as f64));
+            Camera::new(intrinsics, pose, size).unwrap()
+        };
+        let views = taken_by(large, &wall, &EXPOSURES);
+        assert_eq!(factor(&views[0]), 2);
+        let found = estimate_exposures(&wall, &views);
+        assert!(furthest(&found, &EXPOSURES) < 0.03, "{found:?}");
     }
 
     #[test]
