@@ -90,9 +90,13 @@ impl PlanarImage {
 
 impl From<&ImageRgb8> for PlanarImage {
     fn from(image: &ImageRgb8) -> Self {
+        let value: [f32; 256] = std::array::from_fn(|byte| byte as f32 / 255.0);
         let mut out = Self::zeros(image.size());
-        for i in 0..image.size().pixels() {
-            out.set_pixel(i, image.pixel(i));
+        let (red, others) = out.data.split_at_mut(image.size().pixels());
+        let (green, blue) = others.split_at_mut(image.size().pixels());
+        let planes = red.iter_mut().zip(green).zip(blue);
+        for (((red, green), blue), rgb) in planes.zip(image.data().as_chunks::<3>().0) {
+            [*red, *green, *blue] = rgb.map(|byte| value[usize::from(byte)]);
         }
         out
     }
@@ -101,8 +105,39 @@ impl From<&ImageRgb8> for PlanarImage {
 impl From<&PlanarImage> for ImageRgb8 {
     /// Clamps to [0, 1] and rounds.
     fn from(image: &PlanarImage) -> Self {
-        let quantise = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-        let data = (0..image.size.pixels()).flat_map(|i| image.pixel(i).map(quantise)).collect();
+        // Half a level added in f64, which is exact, and the cast rounds down.
+        let quantise = |v: f32| (f64::from(v.clamp(0.0, 1.0) * 255.0) + 0.5) as u8;
+        let mut data = vec![0; 3 * image.size.pixels()];
+        let planes = image.plane(0).iter().zip(image.plane(1)).zip(image.plane(2));
+        for (rgb, ((&red, &green), &blue)) in data.as_chunks_mut::<3>().0.iter_mut().zip(planes) {
+            *rgb = [red, green, blue].map(quantise);
+        }
         Self { size: image.size, data }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_become_shares_and_shares_the_nearest_bytes() {
+        let size = ImageSize { width: 256, height: 1 };
+        let bytes = ImageRgb8::new(size, (0..=255).flat_map(|v| [v, 255 - v, 7]).collect()).unwrap();
+        let planes = PlanarImage::from(&bytes);
+        assert!((0..256).all(|p| planes.pixel(p) == bytes.pixel(p)));
+        assert_eq!(ImageRgb8::from(&planes), bytes);
+        let mut odd = PlanarImage::zeros(ImageSize { width: 4, height: 1 });
+        // The largest number below one half rounds down, though with one half added in f32 it would be one.
+        let below_half = 0.499_999_97_f32;
+        odd.set_pixel(0, [-3.0, 2.0, f32::NAN]);
+        odd.set_pixel(1, [0.5 / 255.0, 1.5 / 255.0, below_half / 255.0]);
+        odd.set_pixel(2, [254.4 / 255.0, 254.6 / 255.0, f32::INFINITY]);
+        let expected = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let found = ImageRgb8::from(&odd);
+        for pixel in 0..4 {
+            let values = odd.pixel(pixel);
+            assert_eq!(found.data()[3 * pixel..3 * pixel + 3], values.map(expected), "{values:?}");
+        }
     }
 }

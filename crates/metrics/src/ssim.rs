@@ -1,6 +1,7 @@
 //! Structural similarity (Wang et al. 2004), its gradient, and the training loss that uses it.
 
 use crate::{SizeMismatch, same_size};
+use ffgs_core::kernel::{self, Kernel};
 use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -279,26 +280,62 @@ impl Channel<'_> {
     fn filter(&self, value: impl Fn(usize) -> f64, rows: Range<usize>) -> Vec<f64> {
         let (taps, width) = (window(), self.width);
         let near = rows.start.saturating_sub(RADIUS)..(rows.end + RADIUS).min(self.height);
-        let mut across = vec![0.0; near.len() * width];
-        let mut row = vec![0.0; width];
-        for (j, out) in near.clone().zip(across.chunks_exact_mut(width)) {
-            row.iter_mut().zip(j * width..).for_each(|(v, i)| *v = value(i));
-            for (t, tap) in taps.iter().enumerate() {
-                // Pixel x takes this tap of its neighbour x + t - RADIUS, where the row has one.
-                let out = out.get_mut(RADIUS.saturating_sub(t)..).unwrap_or_default();
-                let source = row.get(t.saturating_sub(RADIUS)..).unwrap_or_default();
-                out.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
-            }
+        let values: Vec<f64> = (near.start * width..near.end * width).map(value).collect();
+        kernel::dispatch(Filter { taps: &taps, width, height: self.height, near: near.start, rows, values })
+    }
+}
+
+/// Convolution of some rows of a plane.
+struct Filter<'a> {
+    taps: &'a [f64; WINDOW],
+    /// Of the plane.
+    width: usize,
+    height: usize,
+    /// The first row of `values`.
+    near: usize,
+    /// The rows to compute.
+    rows: Range<usize>,
+    /// They, and as many around them as the window reaches.
+    values: Vec<f64>,
+}
+
+impl Kernel for Filter<'_> {
+    type Output = Vec<f64>;
+
+    /// Never fused, so that every machine has the same bits.
+    #[inline(always)]
+    fn run<const FMA: bool>(self) -> Vec<f64> {
+        let Self { taps, width, height, near, rows, values } = self;
+        // A row with as much nothing at its ends as the window reaches.
+        let mut wide = vec![0.0; width + 2 * RADIUS];
+        let mut across = vec![0.0; values.len()];
+        for (row, out) in values.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
+            wide[RADIUS..RADIUS + width].copy_from_slice(row);
+            weigh(out, taps, std::array::from_fn(|t| &wide[t..t + width]));
         }
+        let nothing = vec![0.0; width];
         let mut out = vec![0.0; rows.len() * width];
         for (y, line) in rows.zip(out.chunks_exact_mut(width)) {
-            for j in reach(y, self.height) {
-                let tap = taps[j + RADIUS - y];
-                let source = &across[(j - near.start) * width..(j - near.start + 1) * width];
-                line.iter_mut().zip(source).for_each(|(o, s)| *o += tap * s);
-            }
+            let neighbour = |t: usize| {
+                let row = (y + t).checked_sub(RADIUS).filter(|&row| row < height);
+                row.map_or(&nothing[..], |row| &across[(row - near) * width..(row - near + 1) * width])
+            };
+            weigh(line, taps, std::array::from_fn(neighbour));
         }
         out
+    }
+}
+
+/// The sum of the taps times the rows, which are as long as `out`.
+#[inline(always)]
+fn weigh(out: &mut [f64], taps: &[f64; WINDOW], rows: [&[f64]; WINDOW]) {
+    let rows = rows.map(|row| &row[..out.len()]);
+    for (x, out) in out.iter_mut().enumerate() {
+        let mut sum = 0.0;
+        for t in 0..WINDOW {
+            sum += taps[t] * rows[t][x];
+        }
+        *out = sum;
     }
 }
 
@@ -328,11 +365,6 @@ fn bands(rows: Range<usize>) -> impl ParallelIterator<Item = Range<usize>> {
         let first = start + band * BAND;
         first..(first + BAND).min(end)
     })
-}
-
-/// Positions within the window's reach of `i` that lie in `0..n`.
-fn reach(i: usize, n: usize) -> Range<usize> {
-    i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(n)
 }
 
 fn window() -> [f64; WINDOW] {

@@ -31,6 +31,18 @@ impl CpuRasterizer {
         count: usize,
         tape: &mut RenderTape,
     ) -> TopContributors {
+        self.top_contributors_where(gaussians, view, count, |_| true, tape)
+    }
+
+    /// Like [`Self::top_contributors`], of the pixels (row by row) that are `wanted`: the lists of all others stay empty.
+    pub fn top_contributors_where(
+        &self,
+        gaussians: &Gaussians,
+        view: &View,
+        count: usize,
+        wanted: impl Fn(usize) -> bool + Sync,
+        tape: &mut RenderTape,
+    ) -> TopContributors {
         self.prepare(&[gaussians], view, tape);
         let (size, grid, lists, splats) = (view.camera.size(), tape.grid, &tape.lists, &tape.splats);
         let width = size.width;
@@ -43,7 +55,14 @@ impl CpuRasterizer {
             for tile in row * grid.columns..(row + 1) * grid.columns {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
                 let origin = grid.origin(tile);
-                heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, &TilePlane::ONE);
+                if slots.is_empty() {
+                    continue;
+                }
+                let mut open = TilePlane::ZERO;
+                for_each_pixel(size, grid, tile, |pixel, local| {
+                    open.0[local] = f32::from(u8::from(wanted(pixel)));
+                });
+                heaviest.find(origin, splats, slots, MIN_TRANSMITTANCE, count, &open);
                 for_each_pixel(size, grid, tile, |pixel, local| {
                     let first = (pixel - origin[1] * width) * count;
                     for (k, (walked, weight)) in heaviest.of(local).enumerate() {
@@ -147,9 +166,13 @@ impl<S: Simd> Visitor<S> for Heaviest {
 
 /// Keeps a descending list; of equal weights the one in front stays first.
 fn insert(list: &mut [(usize, f32)], candidate: (usize, f32)) {
-    let place = list.partition_point(|&(_, w)| w >= candidate.1);
-    if place < list.len() {
-        list[place..].rotate_right(1);
-        list[place] = candidate;
+    // Most of what comes after a list is full weighs less than all of it.
+    let Some(mut place) = list.len().checked_sub(1).filter(|&last| list[last].1 < candidate.1) else {
+        return;
+    };
+    while place > 0 && list[place - 1].1 < candidate.1 {
+        list[place] = list[place - 1];
+        place -= 1;
     }
+    list[place] = candidate;
 }

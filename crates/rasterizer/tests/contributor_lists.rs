@@ -78,3 +78,29 @@ fn the_heaviest_contributors_are_those_of_the_lists() {
         assert!(weight == 0.0 || targets[e].distance(target) < 1e-4, "{e}: {} for {target}", targets[e]);
     }
 }
+
+#[test]
+fn lists_of_some_pixels_are_those_of_all() {
+    let (gaussians, _) = heap();
+    let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 25.0, cy: 17.0 };
+    let camera = Camera::new(intrinsics, DMat4::IDENTITY, SIZE).unwrap();
+    let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
+    let (rasterizer, mut tape) = (CpuRasterizer::default(), RenderTape::default());
+    let wanted = |pixel: usize| pixel % 3 == 1;
+    let all = rasterizer.top_contributors(&gaussians, &view, CONTRIBUTORS, &mut tape);
+    let some = rasterizer.top_contributors_where(&gaussians, &view, CONTRIBUTORS, wanted, &mut tape);
+    let (mut listed, mut unlisted) = (0, 0);
+    for pixel in 0..SIZE.pixels() {
+        let list = pixel * CONTRIBUTORS..(pixel + 1) * CONTRIBUTORS;
+        if wanted(pixel) {
+            assert_eq!(some.indices[list.clone()], all.indices[list.clone()], "pixel {pixel}");
+            assert_eq!(some.weights[list.clone()], all.weights[list.clone()], "pixel {pixel}");
+            listed += usize::from(all.indices[list.start] >= 0);
+        } else {
+            assert!(some.indices[list.clone()].iter().all(|&index| index == -1), "pixel {pixel}");
+            unlisted += usize::from(all.indices[list.start] >= 0);
+        }
+        assert!(all.weights[list].is_sorted_by(|a, b| a >= b), "heaviest first");
+    }
+    assert!(listed > 100 && unlisted > 100, "{listed} and {unlisted} pixels show something");
+}

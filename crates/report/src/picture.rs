@@ -4,9 +4,11 @@ use crate::ReportError;
 use crate::colour::inferno;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use fast_image_resize::images::{Image, ImageRef};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use ffgs_core::ImageRgb8;
 use image::codecs::jpeg::JpegEncoder;
-use image::{ImageBuffer, Rgb, imageops};
+use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
 
 /// Most text that all pictures of a run take in its report: browsers open such a page from disk without delay.
@@ -96,16 +98,17 @@ impl Thumbnails {
     /// [`ReportError::Encode`] for a picture without pixels.
     pub fn encode(self, picture: &ImageRgb8) -> Result<String, ReportError> {
         let (width, height) = (picture.size().width as u32, picture.size().height as u32);
-        let view = ImageBuffer::<Rgb<u8>, _>::from_raw(width, height, picture.data());
-        let view = view.expect("an ImageRgb8 holds its size's bytes");
         let scaled_width = self.width(f64::from(width) / f64::from(height.max(1))).min(width);
         let scaled_height = (u64::from(height) * u64::from(scaled_width) / u64::from(width.max(1))) as u32;
-        let scaled = imageops::thumbnail(&view, scaled_width, scaled_height.max(1));
+        let scaled = scaled(picture, [scaled_width, scaled_height.max(1).min(height)]);
         let mut bytes = Vec::new();
         for quality in QUALITIES {
             bytes.clear();
             let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
-            scaled.write_with_encoder(encoder).map_err(ReportError::Encode)?;
+            let colours = ExtendedColorType::Rgb8;
+            encoder
+                .write_image(scaled.buffer(), scaled.width(), scaled.height(), colours)
+                .map_err(ReportError::Encode)?;
             if bytes.len() <= self.most_bytes {
                 break;
             }
@@ -118,6 +121,18 @@ impl Thumbnails {
         let pixels = self.most_bytes as f64 / BYTES_PER_PIXEL;
         (pixels * aspect).sqrt().clamp(MIN_WIDTH, MAX_WIDTH) as u32
     }
+}
+
+/// Means over the pixels that each pixel of the smaller picture covers.
+fn scaled(picture: &ImageRgb8, [width, height]: [u32; 2]) -> Image<'static> {
+    let (size, kind) = (picture.size(), PixelType::U8x3);
+    let whole = ImageRef::new(size.width as u32, size.height as u32, picture.data(), kind);
+    let mut out = Image::new(width, height, kind);
+    let means = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
+    let result =
+        Resizer::new().resize(&whole.expect("an ImageRgb8 holds its size's bytes"), &mut out, &means);
+    result.expect("both have three bytes a pixel");
+    out
 }
 
 /// Colour-mapped mean absolute difference over the channels: black = equal, bright = a quarter of the range or more.
@@ -166,6 +181,25 @@ mod tests {
         let views = thumbnails.view(&noise(1920, 1080), &filled(1920, 1080, [90; 3])).unwrap().unwrap();
         let of_frame = 7 * views.iter().map(String::len).sum::<usize>() + 2 * views[0].len();
         assert!(300 * of_frame < 50_000_000, "{of_frame} bytes per frame");
+    }
+
+    #[test]
+    fn a_smaller_picture_has_the_means_of_the_larger_one() {
+        // Columns of 0 and 200 that each pixel of the smaller picture covers alike.
+        let size = ImageSize { width: 8, height: 4 };
+        let stripes = ImageRgb8::new(size, [[0; 3], [200; 3]].concat().repeat(16)).unwrap();
+        let half = scaled(&stripes, [4, 2]);
+        assert_eq!((half.width(), half.height()), (4, 2));
+        assert!(half.buffer().iter().all(|&v| v == 100), "{:?}", half.buffer());
+        assert_eq!(scaled(&stripes, [8, 4]).buffer(), stripes.data());
+    }
+
+    #[test]
+    fn a_picture_without_pixels_is_an_error() {
+        for [width, height] in [[0, 0], [0, 9], [2000, 0]] {
+            let empty = ImageRgb8::new(ImageSize { width, height }, Vec::new()).unwrap();
+            assert!(Thumbnails::for_run(1, 1).encode(&empty).is_err(), "{width} x {height}");
+        }
     }
 
     #[test]

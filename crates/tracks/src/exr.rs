@@ -5,6 +5,7 @@ use crate::flow::{FlowFormat, RawFlow};
 use ::exr::meta::MetaData;
 use ::exr::prelude::{FlatImage, FlatSamples, ReadChannels, ReadLayers, read as read_image};
 use ffgs_core::{ImageSize, open_input};
+use half::slice::HalfFloatSliceExt;
 use std::io::{BufReader, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -90,5 +91,9 @@ fn flow_of(image: &FlatImage) -> Result<RawFlow, String> {
 }
 
 fn values(samples: &FlatSamples) -> Vec<f32> {
-    samples.values_as_f32().collect()
+    match samples {
+        FlatSamples::F16(values) => values.to_f32_vec(),
+        FlatSamples::F32(values) => values.clone(),
+        FlatSamples::U32(values) => values.iter().map(|&v| v as f32).collect(),
+    }
 }

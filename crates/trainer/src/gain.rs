@@ -48,7 +48,7 @@ pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingV
         let background = Background::Image(behind.render(sky, &view.camera));
         let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
         rasterizer.render_layers(layers, &frame, &mut tape);
-        let errors = Errors::new(view, tape.image(), &tiles.pixel_runs(view.camera.size()));
+        let errors = Errors::new(view, tape.image(), tiles.pixel_runs(view.camera.size()));
         let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
         foreground.extend(inside.map(|noise| (noise, view.mask.count())));
         let weights = errors.weights([outside, inside]);
@@ -73,6 +73,8 @@ fn mean_noise(views: &[(PixelNoise, usize)]) -> PixelNoise {
 /// Errors of a rendered view: photograph minus render.
 struct Errors {
     size: ImageSize,
+    /// Where something was rendered.
+    runs: Vec<Range<usize>>,
     planes: PlanarImage,
     /// (pixels) 0 or 1 as in the mask; 2 where nothing was rendered.
     regions: Vec<u8>,
@@ -80,14 +82,22 @@ struct Errors {
 
 impl Errors {
     /// In the pixels of `runs`.
-    fn new(view: &TrainingView, rendered: &PlanarImage, runs: &[Range<usize>]) -> Self {
-        let mut planes = PlanarImage::from(&view.image);
-        planes.data_mut().iter_mut().zip(rendered.data()).for_each(|(e, r)| *e -= r);
-        let mut regions = vec![2; view.mask.data().len()];
-        for run in runs {
+    fn new(view: &TrainingView, rendered: &PlanarImage, runs: Vec<Range<usize>>) -> Self {
+        let size = view.camera.size();
+        let (mut planes, mut regions) = (PlanarImage::zeros(size), vec![2; size.pixels()]);
+        for run in &runs {
             regions[run.clone()].copy_from_slice(&view.mask.data()[run.clone()]);
+            for pixel in run.clone() {
+                let (photograph, render) = (view.image.pixel(pixel), rendered.pixel(pixel));
+                planes.set_pixel(pixel, std::array::from_fn(|c| photograph[c] - render[c]));
+            }
         }
-        Self { size: view.camera.size(), planes, regions }
+        Self { size, runs, planes, regions }
+    }
+
+    /// The pixels outside (0) or inside (1) the mask.
+    fn pixels(&self, region: u8) -> impl Iterator<Item = usize> {
+        self.runs.iter().cloned().flatten().filter(move |&pixel| self.regions[pixel] == region)
     }
 
     /// Inverse variance of an independent value, pixel by pixel, given the noise outside and inside the mask.
@@ -99,37 +109,35 @@ impl Errors {
 
     /// Noise outside (0) or inside (1) the mask; `None` without pixels.
     fn noise(&self, region: u8) -> Option<PixelNoise> {
-        let inside = |p: usize| self.regions[p] == region;
-        let count = (0..self.regions.len()).filter(|&p| inside(p)).count();
+        let count = self.pixels(region).count();
         if count == 0 {
             return None;
         }
-        let squares: f64 = (0..3).map(|c| Self::products(self.planes.plane(c), 0, &inside).0).sum();
-        let sizes = |c: usize| self.planes.plane(c).iter().enumerate().filter(|(p, _)| inside(*p));
-        let absolute: f64 = (0..3).map(|c| sizes(c).map(|(_, e)| f64::from(e.abs())).sum::<f64>()).sum();
-        let grey: Vec<f32> = (0..self.regions.len()).map(|p| self.planes.pixel(p).iter().sum()).collect();
-        let variance = Self::products(&grey, 0, &inside).0;
-        let channels = variance / squares.max(f64::MIN_POSITIVE);
-        let along = |stride: usize| 1.0 + 2.0 * Self::correlations(&grey, stride, &inside);
+        let squares: f64 = (0..3).map(|c| self.products(self.planes.plane(c), region, 0).0).sum();
+        let sizes = |c: usize| self.pixels(region).map(move |p| f64::from(self.planes.plane(c)[p].abs()));
+        let absolute: f64 = (0..3).map(|c| sizes(c).sum::<f64>()).sum();
+        let mut grey = vec![0.0; self.regions.len()];
+        self.pixels(region).for_each(|p| grey[p] = self.planes.pixel(p).iter().sum());
+        let own = self.products(&grey, region, 0);
+        let channels = own.0 / squares.max(f64::MIN_POSITIVE);
+        let along = |stride: usize| 1.0 + 2.0 * self.correlations(&grey, region, stride, own);
         let correlated = (channels * along(1) * along(self.size.width)).max(1.0);
         // Few pixels that the model cannot show must not hide what all others tell: the mean absolute error, not the square.
         let sigma = (SIGMA_OF_ABSOLUTE * absolute / (3 * count) as f64).max(MIN_NOISE);
         Some(PixelNoise { sigma, correlated })
     }
 
-    /// Sum of the correlations with pixels one, two, ... strides away, until they are small.
-    fn correlations(values: &[f32], stride: usize, inside: &impl Fn(usize) -> bool) -> f64 {
-        let own = Self::products(values, 0, inside);
+    /// Sum of the correlations with pixels one, two, ... strides away, until they are small. `own` are the products without a distance.
+    fn correlations(&self, values: &[f32], region: u8, stride: usize, own: (f64, usize)) -> f64 {
         let mean = |(sum, count): (f64, usize)| sum / count.max(1) as f64;
-        let of = |lag: usize| {
-            mean(Self::products(values, lag * stride, inside)) / mean(own).max(f64::MIN_POSITIVE)
-        };
+        let of =
+            |lag: usize| mean(self.products(values, region, lag * stride)) / mean(own).max(f64::MIN_POSITIVE);
         (1..=MAX_LAG).map(of).take_while(|&r| r > MIN_CORRELATION).sum()
     }
 
     /// Sum over the pixels of a region of products with the value so many places on, and their number.
-    fn products(values: &[f32], distance: usize, inside: &impl Fn(usize) -> bool) -> (f64, usize) {
-        let pairs = (0..values.len().saturating_sub(distance)).filter(|&p| inside(p) && inside(p + distance));
+    fn products(&self, values: &[f32], region: u8, distance: usize) -> (f64, usize) {
+        let pairs = self.pixels(region).filter(|&p| self.regions.get(p + distance) == Some(&region));
         pairs.fold((0.0, 0), |(sum, count), p| {
             (sum + f64::from(values[p]) * f64::from(values[p + distance]), count + 1)
         })
@@ -166,7 +174,7 @@ mod tests {
     fn noise(view: &TrainingView) -> PixelNoise {
         let mut flat = PlanarImage::zeros(SIZE);
         flat.data_mut().fill(128.0 / 255.0);
-        Errors::new(view, &flat, &everywhere()).noise(0).unwrap()
+        Errors::new(view, &flat, everywhere()).noise(0).unwrap()
     }
 
     #[test]
@@ -188,14 +196,14 @@ mod tests {
         let mut flat = PlanarImage::zeros(SIZE);
         flat.data_mut().fill(128.0 / 255.0);
         let left: Vec<Range<usize>> = (0..SIZE.height).map(|y| y * 96..y * 96 + 48).collect();
-        let errors = Errors::new(&view, &flat, &left);
+        let errors = Errors::new(&view, &flat, left);
         let noise = errors.noise(0).unwrap();
         assert!((noise.sigma - SIGMA_OF_ABSOLUTE * 20.0 / 255.0).abs() < 1e-3, "{noise:?}");
         assert!((noise.correlated - 1.0).abs() < 0.2, "{noise:?}");
         assert_eq!(errors.noise(1), None, "no foreground");
         let weights = errors.weights([Some(noise); 2]);
         assert!((0..SIZE.pixels()).all(|p| (weights[p] > 0.0) == (p % 96 < 48)));
-        let everything = Errors::new(&view, &flat, &everywhere()).noise(0).unwrap();
+        let everything = Errors::new(&view, &flat, everywhere()).noise(0).unwrap();
         assert!(everything.sigma > 2.0 * noise.sigma, "the test could tell: {everything:?}");
     }
 

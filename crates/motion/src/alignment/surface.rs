@@ -36,11 +36,12 @@ pub(crate) fn surface_points(
     let shown = View { camera: &view.camera, background, tiles: Some(&tiles) };
     let rasterizer = CpuRasterizer::default();
     let mut tape = RenderTape::default();
-    let top = rasterizer.top_contributors(layer, &shown, CONTRIBUTORS, &mut tape);
+    let inside = |pixel: usize| view.mask.data()[pixel] != 0;
+    let top = rasterizer.top_contributors_where(layer, &shown, CONTRIBUTORS, inside, &mut tape);
     rasterizer.render(layer, &shown, &mut tape);
     let depths = Depths { camera: &view.camera, layer, groups, top };
     let mut out: Vec<Vec<SurfacePoint>> = groups.found.iter().map(|_| Vec::new()).collect();
-    for pixel in (0..view.mask.data().len()).filter(|&p| view.mask.data()[p] != 0) {
+    for pixel in (0..view.mask.data().len()).filter(|&pixel| inside(pixel)) {
         if let Some((gaussian, group, place)) = depths.surface(pixel) {
             let value = brightness(tape.image().pixel(pixel));
             out[group].push(SurfacePoint { place, value, pixel, gaussian });
