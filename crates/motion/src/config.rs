@@ -72,8 +72,8 @@ pub struct MarkingConfig {
     pub second_chance: bool,
     /// Whether both layers are marked again at t-1 in every frame.
     pub every_frame: bool,
-    /// Alpha of the moving layer from which it covers what is behind it; static Gaussians that are covered in all views are left out of the frame. 0 =
-    /// none is.
+    /// Alpha of the moving layer from which it covers what is behind it; static Gaussians that are covered in all views, or stand before it in
+    /// one, are left out of the frame. 0 = none is.
     pub covering_alpha: f32,
     /// Share of an object of the dynamic layer that one frame's masks lack, beyond which the run warns and waits for the next.
     pub loss_warning: f64,

@@ -43,7 +43,7 @@ fn covered(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Re
 
 /// The foreground of `view` where `layer`, which moves, has at least this alpha. Masks alone would do where they are right; one that errs has nothing
 /// in it that moves.
-fn shown(layer: &Gaussians, view: &TrainingView, alpha: f32) -> Mask {
+pub(crate) fn shown(layer: &Gaussians, view: &TrainingView, alpha: f32) -> Mask {
     let tiles = TileMask::covering(&view.mask);
     let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
     let mut tape = RenderTape::default();

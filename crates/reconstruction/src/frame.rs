@@ -3,13 +3,13 @@
 //! ```text
 //! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
 //! frame t   state of t-1, photographs of t
-//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered
+//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered or stands before it
 //!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
 //! ```
 
 use crate::first_training::{Earlier, FirstViews};
 use crate::knowledge::Predicted;
-use crate::lanes::FrameStart;
+use crate::lanes::{FrameStart, union};
 use crate::reconstructor::{Reconstructor, State};
 use crate::stops::Moving;
 use anyhow::{Context, Result};
@@ -83,10 +83,12 @@ impl Reconstructor<'_> {
             Finetuning::ByLanes => {
                 let prior = known.as_ref().map(Predicted::prior);
                 let (views, dynamic_lane) = (&now[..], self.config.dynamic);
-                let covered = &self.find_covered(&state.scene, views, log)?;
+                let denied = self.find_denied(&state.scene, views, log);
+                let covered = &union(&denied, &self.find_covered(&state.scene, views, log)?);
                 let start = FrameStart { frame, dynamic_lane, prior, views, covered };
                 self.train_lanes(&start, &mut state, log)?;
                 self.train_disoccluded(frame, &mut state, &now, log)?;
+                self.remove_denied(frame, &mut state, &denied);
                 self.learn(&mut state.scene, known.as_ref(), &now, log);
             }
             Finetuning::Done => {}

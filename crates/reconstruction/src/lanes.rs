@@ -19,7 +19,7 @@ pub(crate) struct FrameStart<'a> {
     pub prior: Option<Prior<'a>>,
     /// Photographs of the frame.
     pub views: &'a [TrainingView],
-    /// Static Gaussians that what moves covers, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
+    /// Static Gaussians that what moves covers or that stand before it, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
     /// lane keeps them, as its linear system has to stay the same from frame to frame.
     pub covered: &'a [u32],
 }
@@ -99,7 +99,7 @@ impl Reconstructor<'_> {
 }
 
 /// Ascending, of ascending numbers.
-fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
+pub(crate) fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
     let mut all = [a, b].concat();
     all.sort_unstable();
     all.dedup();

@@ -6,6 +6,7 @@
 mod birth;
 mod config;
 mod covered;
+mod denied;
 mod devices;
 mod disocclusion;
 mod exposures;

@@ -1,0 +1,153 @@
+//! Static Gaussians before something that moves, which a photograph shows all the same (docs/adr/0079-nothing-stands-before-what-is-seen.md).
+
+use crate::covered::shown;
+use crate::reconstructor::{Reconstructor, State};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
+use ffgs_motion::MarkingConfig;
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Share of the distance to what moves by which a Gaussian has to be nearer.
+const NEARER: f64 = 0.05;
+/// Standard deviations along its longest axis that a Gaussian reaches towards what is behind it.
+const REACH: f64 = 2.0;
+/// Opacity below which a Gaussian shows nothing.
+const LEAST_OPACITY: f32 = 0.01;
+
+impl Reconstructor<'_> {
+    /// Ascending indices of the static Gaussians that stand before what moves at t.
+    pub(crate) fn find_denied(&self, scene: &Scene, now: &[TrainingView], log: &mut StageLog) -> Vec<u32> {
+        let start = Instant::now();
+        let marking = &self.config.marking;
+        let found = marking.covering_alpha > 0.0 && self.method.births();
+        let denied = if found { denied(marking, scene, now) } else { Vec::new() };
+        log.since(stage::VALIDATION, start);
+        denied
+    }
+
+    /// In the rounds in which the static layer may change its shape, those that are left out of this frame stay out.
+    pub(crate) fn remove_denied(&self, frame: usize, state: &mut State, denied: &[u32]) {
+        if denied.is_empty() || !frame.is_multiple_of(self.config.disocclusion.every) {
+            return;
+        }
+        let places: Vec<usize> = denied.iter().map(|&i| i as usize).collect();
+        state.scene.keep(&places);
+        state.static_lane.forget();
+        tracing::debug!("frame {frame}: {} static Gaussians hid what moves and are gone", denied.len());
+    }
+}
+
+fn denied(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Vec<u32> {
+    let (layer, moving) = (&scene.static_layer, &scene.dynamic.gaussians);
+    if moving.is_empty() {
+        return Vec::new();
+    }
+    let views = views.par_iter().filter(|view| view.mask.count() > 0);
+    let behind: Vec<Behind> = views.map(|view| Behind::new(marking, moving, view)).collect();
+    let stands_before = |&i: &usize| {
+        sigmoid(layer.opacity_logits[i]) >= LEAST_OPACITY && behind.iter().any(|b| b.denies(layer, i))
+    };
+    (0..layer.len()).into_par_iter().filter(stands_before).map(|i| i as u32).collect()
+}
+
+/// What moves, in a view.
+struct Behind<'a> {
+    view: &'a TrainingView,
+    /// Where it is not shown, widened: at its edge it is not known which of both a pixel shows.
+    open: Mask,
+    /// (H, W) depth (m) of the Gaussian that a pixel shows most of; infinite where there is none.
+    depths: Vec<f64>,
+}
+
+impl<'a> Behind<'a> {
+    fn new(marking: &MarkingConfig, moving: &Gaussians, view: &'a TrainingView) -> Self {
+        let shown = shown(moving, view, marking.covering_alpha);
+        let open = shown.data().iter().map(|&shown| u8::from(shown == 0)).collect();
+        let open = Mask::new(shown.size(), open).expect("one value per pixel").widened(marking.dilation);
+        let tiles = TileMask::covering(&view.mask);
+        let background = Background::Colour([0.0; 3]);
+        let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
+        let inside = |pixel: usize| shown.data()[pixel] != 0;
+        let tape = &mut RenderTape::default();
+        let top = CpuRasterizer::default().top_contributors_where(moving, &frame, 1, inside, tape);
+        let depth = |&i: &i32| {
+            let place = DVec3::from(moving.means.get(usize::try_from(i).ok()?)?.map(f64::from));
+            Some(view.camera.project(place)?.depth)
+        };
+        let depths = top.indices.iter().map(|i| depth(i).unwrap_or(f64::INFINITY)).collect();
+        Self { view, open, depths }
+    }
+
+    /// Whether Gaussian `i` of `layer` lies wholly before it.
+    fn denies(&self, layer: &Gaussians, i: usize) -> bool {
+        let place = DVec3::from(layer.means[i].map(f64::from));
+        let camera = &self.view.camera;
+        let Some((x, y)) = camera.pixel_of(place).filter(|&(x, y)| !self.open.contains(x, y)) else {
+            return false;
+        };
+        let Some(seen) = camera.project(place) else { return false };
+        let longest = layer.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
+        let behind = self.depths[y * camera.size().width + x];
+        behind.is_finite() && seen.depth + REACH * f64::from(longest) < (1.0 - NEARER) * behind
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
+    use glam::Vec3;
+
+    /// The ball around the origin, and static Gaussians of 2 cm at `places`.
+    fn with_static(places: &[[f32; 3]]) -> Scene {
+        let mut layer = Gaussians::zeros(places.len(), 1);
+        layer.means = places.to_vec();
+        layer.log_scales.fill([0.02_f32.ln(); 3]);
+        Scene { static_layer: layer.into(), ..scene(&ball(Vec3::ZERO)) }
+    }
+
+    fn found(scene: &Scene, views: &[TrainingView]) -> Vec<u32> {
+        denied(&MarkingConfig { dilation: 1, ..MarkingConfig::default() }, scene, views)
+    }
+
+    #[test]
+    fn what_stands_before_a_body_in_one_view_is_denied() {
+        // Half way to the first camera; behind the body for it; within the body; before it by less than the share; before no body.
+        let places = [[2.5, 0.0, 0.3], [-2.5, 0.0, -0.3], [0.1, 0.0, 0.0], [0.75, 0.0, 0.0], [2.5, 0.0, 2.0]];
+        let (scene, views) = (with_static(&places), photographs(&ball(Vec3::ZERO)));
+        assert_eq!(found(&scene, &views), [0]);
+        assert_eq!(found(&scene, &views[3..]), [0; 0], "no camera that has it before the body");
+        assert_eq!(found(&scene, &without_masks(views)), [0; 0], "no foreground");
+    }
+
+    #[test]
+    fn what_reaches_the_body_or_shows_nothing_stays() {
+        let views = photographs(&ball(Vec3::ZERO));
+        let mut wide = with_static(&[[2.5, 0.0, 0.3]]);
+        let layer = std::sync::Arc::make_mut(&mut wide.static_layer);
+        layer.log_scales[0] = [0.02_f32.ln(), 0.0, 0.0];
+        assert_eq!(found(&wide, &views), [0; 0], "it is 1 m long");
+        let mut faint = with_static(&[[2.5, 0.0, 0.3]]);
+        std::sync::Arc::make_mut(&mut faint.static_layer).opacity_logits[0] = -9.0;
+        assert_eq!(found(&faint, &views), [0; 0]);
+        let mut none = with_static(&[[2.5, 0.0, 0.3]]);
+        none.dynamic.gaussians = Gaussians::zeros(0, 1);
+        assert_eq!(found(&none, &views), [0; 0], "nothing moves");
+    }
+
+    #[test]
+    fn at_the_edge_of_a_body_nothing_is_denied() {
+        let mut views = photographs(&ball(Vec3::ZERO));
+        // The first camera looks along -x from 5 m: the body ends at 0.6 m, at 0.3 m half way.
+        let edge = with_static(&[[2.5, 0.0, 0.585], [2.5, 0.29, 0.3]]);
+        assert_eq!(found(&edge, &views), [0; 0]);
+        views.iter_mut().for_each(|view| view.mask = Mask::filled(SIZE, true));
+        assert_eq!(
+            found(&with_static(&[[2.5, 0.0, 1.5]]), &views),
+            [0; 0],
+            "a mask that errs has no body in it"
+        );
+    }
+}
