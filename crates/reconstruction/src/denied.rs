@@ -4,7 +4,7 @@ use crate::covered::shown;
 use crate::reconstructor::{Reconstructor, State};
 use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
 use ffgs_motion::MarkingConfig;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -55,43 +55,56 @@ fn denied(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Vec
 /// What moves, in a view.
 struct Behind<'a> {
     view: &'a TrainingView,
-    /// Where it is not shown, widened: at its edge it is not known which of both a pixel shows.
-    open: Mask,
-    /// (H, W) depth (m) of the Gaussian that a pixel shows most of; infinite where there is none.
-    depths: Vec<f64>,
+    /// Where it is shown.
+    shown: Mask,
+    /// Pixels from its edge within which it is not known which of both a pixel shows.
+    margin: usize,
+    moving: &'a Gaussians,
+    /// (H, W) the moving Gaussian that a pixel shows most of; -1 where there is none.
+    shows: Vec<i32>,
 }
 
 impl<'a> Behind<'a> {
-    fn new(marking: &MarkingConfig, moving: &Gaussians, view: &'a TrainingView) -> Self {
+    fn new(marking: &MarkingConfig, moving: &'a Gaussians, view: &'a TrainingView) -> Self {
         let shown = shown(moving, view, marking.covering_alpha);
-        let open = shown.data().iter().map(|&shown| u8::from(shown == 0)).collect();
-        let open = Mask::new(shown.size(), open).expect("one value per pixel").widened(marking.dilation);
+        let margin = shown.margin(marking.dilation);
         let tiles = TileMask::covering(&view.mask);
         let background = Background::Colour([0.0; 3]);
         let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
         let inside = |pixel: usize| shown.data()[pixel] != 0;
         let tape = &mut RenderTape::default();
-        let top = CpuRasterizer::default().top_contributors_where(moving, &frame, 1, inside, tape);
-        let depth = |&i: &i32| {
-            let place = DVec3::from(moving.means.get(usize::try_from(i).ok()?)?.map(f64::from));
-            Some(view.camera.project(place)?.depth)
-        };
-        let depths = top.indices.iter().map(|i| depth(i).unwrap_or(f64::INFINITY)).collect();
-        Self { view, open, depths }
+        let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
+        let top = CpuRasterizer::new(options).top_contributors_where(moving, &frame, 1, inside, tape);
+        Self { view, shown, margin, moving, shows: top.indices }
+    }
+
+    /// Whether it is shown at a pixel and all around it.
+    fn surrounds(&self, x: usize, y: usize) -> bool {
+        let (size, margin) = (self.shown.size(), self.margin);
+        let columns = x.saturating_sub(margin)..(x + margin + 1).min(size.width);
+        let mut rows = y.saturating_sub(margin)..(y + margin + 1).min(size.height);
+        self.shown.contains(x, y)
+            && rows.all(|row| columns.clone().all(|column| self.shown.contains(column, row)))
     }
 
     /// Whether Gaussian `i` of `layer` lies wholly before it.
     fn denies(&self, layer: &Gaussians, i: usize) -> bool {
-        let place = DVec3::from(layer.means[i].map(f64::from));
         let camera = &self.view.camera;
-        let Some((x, y)) = camera.pixel_of(place).filter(|&(x, y)| !self.open.contains(x, y)) else {
+        let Some((x, y)) = camera.pixel_of(place(layer, i)).filter(|&(x, y)| self.surrounds(x, y)) else {
             return false;
         };
-        let Some(seen) = camera.project(place) else { return false };
+        let depth = |layer: &Gaussians, i: usize| Some(camera.project(place(layer, i))?.depth);
+        let shown = usize::try_from(self.shows[y * camera.size().width + x]);
+        let behind = shown.ok().and_then(|shown| depth(self.moving, shown));
         let longest = layer.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
-        let behind = self.depths[y * camera.size().width + x];
-        behind.is_finite() && seen.depth + REACH * f64::from(longest) < (1.0 - NEARER) * behind
+        let before = |(near, far): (f64, f64)| near + REACH * f64::from(longest) < (1.0 - NEARER) * far;
+        depth(layer, i).zip(behind).is_some_and(before)
     }
+}
+
+/// Centre of a Gaussian (m).
+fn place(layer: &Gaussians, i: usize) -> DVec3 {
+    DVec3::from(layer.means[i].map(f64::from))
 }
 
 #[cfg(test)]
