@@ -306,19 +306,19 @@ impl Kernel for Filter<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) -> Vec<f64> {
         let Self { taps, width, height, near, rows, values } = self;
-        // A row with as much nothing at its ends as the window reaches.
+        // A row between as many zeros as the window reaches beyond it.
         let mut wide = vec![0.0; width + 2 * RADIUS];
         let mut across = vec![0.0; values.len()];
         for (row, out) in values.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
             wide[RADIUS..RADIUS + width].copy_from_slice(row);
             weigh(out, taps, std::array::from_fn(|t| &wide[t..t + width]));
         }
-        let nothing = vec![0.0; width];
+        let zeros = vec![0.0; width];
         let mut out = vec![0.0; rows.len() * width];
         for (y, line) in rows.zip(out.chunks_exact_mut(width)) {
             let neighbour = |t: usize| {
                 let row = (y + t).checked_sub(RADIUS).filter(|&row| row < height);
-                row.map_or(&nothing[..], |row| &across[(row - near) * width..(row - near + 1) * width])
+                row.map_or(&zeros[..], |row| &across[(row - near) * width..(row - near + 1) * width])
             };
             weigh(line, taps, std::array::from_fn(neighbour));
         }

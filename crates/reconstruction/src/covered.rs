@@ -1,63 +1,32 @@
 //! Static Gaussians that what moves covers from all views (docs/adr/0068-what-is-covered-is-not-drawn.md).
 
-use crate::reconstructor::Reconstructor;
 use anyhow::Result;
-use ffgs_core::{Camera, Gaussians, Mask, Scene, StageLog, TrainingView, stage};
+use ffgs_core::{Camera, Mask, Scene, TrainingView};
 use ffgs_fusion::{ViewCounts, count_views};
 use ffgs_motion::MarkingConfig;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use rayon::prelude::*;
-use std::time::Instant;
 
-impl Reconstructor<'_> {
-    /// Indices of the static Gaussians that what moves covers at t.
-    pub(crate) fn find_covered(
-        &self,
-        scene: &Scene,
-        now: &[TrainingView],
-        log: &mut StageLog,
-    ) -> Result<Vec<u32>> {
-        let start = Instant::now();
-        let marking = &self.config.marking;
-        let found = marking.covering_alpha > 0.0 && self.method.births();
-        let covered = if found { covered(marking, scene, now)? } else { Vec::new() };
-        log.since(stage::VALIDATION, start);
-        Ok(covered)
-    }
-}
-
-/// Those that lie where the moving layer, widened, shows, in all views that see them. Such a place is inside the body or behind it:
-/// nothing static is to be seen there, and what is drawn there all the same shows before the body or through it.
-fn covered(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Result<Vec<u32>> {
-    let layer = &scene.dynamic.gaussians;
-    if layer.is_empty() {
-        return Ok(Vec::new());
-    }
+/// Ascending indices of the static Gaussians that all views which see them have where the moving layer is `shown`, widened. Such a place is inside the body
+/// or behind it: nothing static is to be seen there, and what is drawn there all the same shows before the body or through it.
+pub(crate) fn covered(
+    marking: &MarkingConfig,
+    scene: &Scene,
+    views: &[TrainingView],
+    shown: &[Mask],
+) -> Result<Vec<u32>> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let shown = |view| shown(layer, view, marking.covering_alpha).widened(marking.dilation);
-    let shown: Vec<Mask> = views.par_iter().map(shown).collect();
+    let shown: Vec<Mask> = shown.par_iter().map(|shown| shown.widened(marking.dilation)).collect();
     let counts = count_views(&scene.static_layer.positions(), &cameras, &shown)?;
     let is_covered = |c: &ViewCounts| c.seen > 0 && c.inside == c.seen;
     Ok((0..).zip(&counts).filter(|(_, counts)| is_covered(counts)).map(|(i, _)| i).collect())
 }
 
-/// The foreground of `view` where `layer`, which moves, has at least this alpha. Masks alone would do where they are right; one that errs has nothing
-/// in it that moves.
-pub(crate) fn shown(layer: &Gaussians, view: &TrainingView, alpha: f32) -> Mask {
-    let tiles = TileMask::covering(&view.mask);
-    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-    let mut tape = RenderTape::default();
-    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
-    CpuRasterizer::new(options).render(layer, &frame, &mut tape);
-    let pixels = tape.transmittance().iter().zip(view.mask.data());
-    let hidden = pixels.map(|(&t, &inside)| u8::from(inside != 0 && 1.0 - t >= alpha)).collect();
-    Mask::new(view.mask.size(), hidden).expect("one value per pixel")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::left_out::shown;
     use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
+    use ffgs_core::Gaussians;
     use glam::Vec3;
 
     /// The ball around the origin before static Gaussians at `places`.
@@ -68,7 +37,9 @@ mod tests {
     }
 
     fn found(scene: &Scene, views: &[TrainingView]) -> Vec<u32> {
-        covered(&MarkingConfig { dilation: 1, ..MarkingConfig::default() }, scene, views).unwrap()
+        let marking = MarkingConfig { dilation: 1, ..MarkingConfig::default() };
+        let shown = shown(&marking, &scene.dynamic.gaussians, views);
+        covered(&marking, scene, views, &shown).unwrap()
     }
 
     #[test]

@@ -1,13 +1,10 @@
 //! Static Gaussians before something that moves, which a photograph shows all the same (docs/adr/0079-nothing-stands-before-what-is-seen.md).
 
-use crate::covered::shown;
-use crate::reconstructor::{Reconstructor, State};
-use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
+use ffgs_core::{Gaussians, Mask, Scene, TrainingView, sigmoid};
 use ffgs_motion::MarkingConfig;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use glam::DVec3;
 use rayon::prelude::*;
-use std::time::Instant;
 
 /// Share of the distance to what moves by which a Gaussian has to be nearer.
 const NEARER: f64 = 0.05;
@@ -16,36 +13,16 @@ const REACH: f64 = 2.0;
 /// Opacity below which a Gaussian shows nothing.
 const LEAST_OPACITY: f32 = 0.01;
 
-impl Reconstructor<'_> {
-    /// Ascending indices of the static Gaussians that stand before what moves at t.
-    pub(crate) fn find_denied(&self, scene: &Scene, now: &[TrainingView], log: &mut StageLog) -> Vec<u32> {
-        let start = Instant::now();
-        let marking = &self.config.marking;
-        let found = marking.covering_alpha > 0.0 && self.method.births();
-        let denied = if found { denied(marking, scene, now) } else { Vec::new() };
-        log.since(stage::VALIDATION, start);
-        denied
-    }
-
-    /// In the rounds in which the static layer may change its shape, those that are left out of this frame stay out.
-    pub(crate) fn remove_denied(&self, frame: usize, state: &mut State, denied: &[u32]) {
-        if denied.is_empty() || !frame.is_multiple_of(self.config.disocclusion.every) {
-            return;
-        }
-        let places: Vec<usize> = denied.iter().map(|&i| i as usize).collect();
-        state.scene.keep(&places);
-        state.static_lane.forget();
-        tracing::debug!("frame {frame}: {} static Gaussians hid what moves and are gone", denied.len());
-    }
-}
-
-fn denied(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Vec<u32> {
+/// Ascending indices of the static Gaussians that stand before what moves in at least one of the views, where it is `shown`.
+pub(crate) fn denied(
+    marking: &MarkingConfig,
+    scene: &Scene,
+    views: &[TrainingView],
+    shown: &[Mask],
+) -> Vec<u32> {
     let (layer, moving) = (&scene.static_layer, &scene.dynamic.gaussians);
-    if moving.is_empty() {
-        return Vec::new();
-    }
-    let views = views.par_iter().filter(|view| view.mask.count() > 0);
-    let behind: Vec<Behind> = views.map(|view| Behind::new(marking, moving, view)).collect();
+    let views = views.par_iter().zip(shown).filter(|(_, shown)| shown.count() > 0);
+    let behind: Vec<Behind> = views.map(|(view, shown)| Behind::new(marking, moving, view, shown)).collect();
     let stands_before = |&i: &usize| {
         sigmoid(layer.opacity_logits[i]) >= LEAST_OPACITY && behind.iter().any(|b| b.denies(layer, i))
     };
@@ -56,7 +33,7 @@ fn denied(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Vec
 struct Behind<'a> {
     view: &'a TrainingView,
     /// Where it is shown.
-    shown: Mask,
+    shown: &'a Mask,
     /// Pixels from its edge within which it is not known which of both a pixel shows.
     margin: usize,
     moving: &'a Gaussians,
@@ -65,8 +42,7 @@ struct Behind<'a> {
 }
 
 impl<'a> Behind<'a> {
-    fn new(marking: &MarkingConfig, moving: &'a Gaussians, view: &'a TrainingView) -> Self {
-        let shown = shown(moving, view, marking.covering_alpha);
+    fn new(marking: &MarkingConfig, moving: &'a Gaussians, view: &'a TrainingView, shown: &'a Mask) -> Self {
         let margin = shown.margin(marking.dilation);
         let tiles = TileMask::covering(&view.mask);
         let background = Background::Colour([0.0; 3]);
@@ -110,6 +86,7 @@ fn place(layer: &Gaussians, i: usize) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::left_out::shown;
     use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
     use glam::Vec3;
 
@@ -122,7 +99,9 @@ mod tests {
     }
 
     fn found(scene: &Scene, views: &[TrainingView]) -> Vec<u32> {
-        denied(&MarkingConfig { dilation: 1, ..MarkingConfig::default() }, scene, views)
+        let marking = MarkingConfig { dilation: 1, ..MarkingConfig::default() };
+        let shown = shown(&marking, &scene.dynamic.gaussians, views);
+        denied(&marking, scene, views, &shown)
     }
 
     #[test]

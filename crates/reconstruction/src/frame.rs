@@ -9,7 +9,7 @@
 
 use crate::first_training::{Earlier, FirstViews};
 use crate::knowledge::Predicted;
-use crate::lanes::{FrameStart, union};
+use crate::lanes::FrameStart;
 use crate::reconstructor::{Reconstructor, State};
 use crate::stops::Moving;
 use anyhow::{Context, Result};
@@ -83,12 +83,11 @@ impl Reconstructor<'_> {
             Finetuning::ByLanes => {
                 let prior = known.as_ref().map(Predicted::prior);
                 let (views, dynamic_lane) = (&now[..], self.config.dynamic);
-                let denied = self.find_denied(&state.scene, views, log);
-                let covered = &union(&denied, &self.find_covered(&state.scene, views, log)?);
-                let start = FrameStart { frame, dynamic_lane, prior, views, covered };
+                let left_out = self.find_left_out(&state.scene, views, log)?;
+                let start = FrameStart { frame, dynamic_lane, prior, views, left_out: &left_out.all };
                 self.train_lanes(&start, &mut state, log)?;
                 self.train_disoccluded(frame, &mut state, &now, log)?;
-                self.remove_denied(frame, &mut state, &denied);
+                self.remove_denied(frame, &mut state, &left_out.denied);
                 self.learn(&mut state.scene, known.as_ref(), &now, log);
             }
             Finetuning::Done => {}
@@ -109,7 +108,7 @@ impl Reconstructor<'_> {
         let known = Predicted::new(&state.scene, &dynamic_lane);
         let prior = known.as_ref().map(Predicted::prior);
         let views = std::mem::take(&mut state.views);
-        let start = FrameStart { frame, dynamic_lane, prior, views: &views, covered: &[] };
+        let start = FrameStart { frame, dynamic_lane, prior, views: &views, left_out: &[] };
         self.train_lanes(&start, state, log)?;
         self.learn(&mut state.scene, known.as_ref(), &views, log);
         state.views = views;

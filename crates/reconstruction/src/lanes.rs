@@ -21,7 +21,7 @@ pub(crate) struct FrameStart<'a> {
     pub views: &'a [TrainingView],
     /// Static Gaussians that what moves covers or that stand before it, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
     /// lane keeps them, as its linear system has to stay the same from frame to frame.
-    pub covered: &'a [u32],
+    pub left_out: &'a [u32],
 }
 
 impl Reconstructor<'_> {
@@ -33,9 +33,9 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<()> {
         let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
-        let FrameStart { ref dynamic_lane, prior, views, covered, .. } = *start;
+        let FrameStart { ref dynamic_lane, prior, views, left_out, .. } = *start;
         let State { scene, static_lane, .. } = state;
-        let (static_start, sky_start) = (scene.without(covered), scene.sky.clone());
+        let (static_start, sky_start) = (scene.without(left_out), scene.sky.clone());
         let (before, mut passing) = (Arc::clone(&scene.static_layer), Vec::new());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
@@ -78,8 +78,8 @@ impl Reconstructor<'_> {
         log.add_seconds(stage::DYNAMIC, dynamic_s?);
         log.add_seconds(stage::STATIC, static_s?);
         log.add_seconds(stage::SKY, sky_s?);
-        scene.static_layer = scene.without(covered);
-        scene.put_aside(union(&passing, covered), &before);
+        scene.static_layer = scene.without(left_out);
+        scene.put_aside(union(&passing, left_out), &before);
         Ok(())
     }
 

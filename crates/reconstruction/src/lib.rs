@@ -16,6 +16,7 @@ mod frame;
 mod initial_points;
 mod knowledge;
 mod lanes;
+mod left_out;
 mod marking;
 mod monitor;
 mod reconstructor;

@@ -1,6 +1,6 @@
 //! The sequence of frames on a capture in memory: no file, no program, only the reconstructor and a method.
 
-use ffgs_core::{StageLog, stage};
+use ffgs_core::{Gaussians, StageLog, sigmoid, stage};
 use ffgs_method::{Split, TrackSource, ViewAt};
 use ffgs_motion::{MotionConfig, TrackerMotion};
 use ffgs_reconstruction::{
@@ -82,4 +82,33 @@ fn an_error_of_the_caller_ends_the_frame() {
     let mut fails = |_: &ffgs_method::Step, _: &ffgs_core::Scene| anyhow::bail!("the disk is full");
     let ended = reconstructor.later_frame(1, state, world.training(1), &mut StageLog::default(), &mut fails);
     assert_eq!(ended.err().unwrap().to_string(), "the disk is full");
+}
+
+#[test]
+fn what_stands_before_a_thing_that_is_seen_is_left_out_and_goes_in_a_round() {
+    let world = World::new(COUNT, DVec3::new(0.03, 0.0, 0.01));
+    let tracks = [world.tracker()];
+    let mut reconstructor = reconstructor(&world, &tracks);
+    reconstructor.config.disocclusion.every = 2;
+    reconstructor.config.marking.dilation = 0;
+    let mut state = first(&mut reconstructor, &world);
+    // Wide enough to be a body without gaps.
+    state.scene.dynamic.gaussians.log_scales.fill([0.1_f32.ln(); 3]);
+    let centre = world.places.iter().sum::<DVec3>() / COUNT as f64;
+    let before = (centre + world.training(0)[0].camera.center()) / 2.0;
+    let aside = centre + 100.0 * world.step;
+    let mut layer = Gaussians::zeros(2, 0);
+    layer.means = [before, aside].map(|place| place.as_vec3().to_array()).to_vec();
+    layer.log_scales.fill([-5.0; 3]);
+    state.scene.static_layer = layer.into();
+    state.scene.hidden = vec![0; 2];
+    for (frame, gone) in [(1, false), (2, true)] {
+        let (now, mut log) = (world.training(frame), StageLog::default());
+        state = reconstructor.later_frame(frame, state, now, &mut log, &mut |_, _| Ok(())).unwrap();
+        let opacities = |state: &State| [0, 1].map(|i| sigmoid(state.scene.static_layer.opacity_logits[i]));
+        assert!(opacities(&state)[0] < 1e-3, "frame {frame}: it is not drawn");
+        assert_eq!(opacities(&state)[1], 0.5, "frame {frame}: the other one is");
+        state.scene.take_back();
+        assert_eq!(opacities(&state)[0] < 1e-3, gone, "frame {frame}");
+    }
 }

@@ -131,7 +131,7 @@ fn scaled(picture: &ImageRgb8, [width, height]: [u32; 2]) -> Image<'static> {
     let means = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
     let result =
         Resizer::new().resize(&whole.expect("an ImageRgb8 holds its size's bytes"), &mut out, &means);
-    result.expect("both have three bytes a pixel");
+    result.expect("both have three bytes per pixel");
     out
 }
 

@@ -1,0 +1,71 @@
+//! Static Gaussians that are not drawn in a frame: something that moves covers them, or shows behind them.
+
+use crate::covered::covered;
+use crate::denied::denied;
+use crate::lanes::union;
+use crate::reconstructor::{Reconstructor, State};
+use anyhow::Result;
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, stage};
+use ffgs_motion::MarkingConfig;
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Indices, ascending.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LeftOut {
+    /// Of all static Gaussians that are not drawn.
+    pub all: Vec<u32>,
+    /// Of those that stand before what moves.
+    pub denied: Vec<u32>,
+}
+
+impl Reconstructor<'_> {
+    /// The static Gaussians that are not drawn at t.
+    pub(crate) fn find_left_out(
+        &self,
+        scene: &Scene,
+        now: &[TrainingView],
+        log: &mut StageLog,
+    ) -> Result<LeftOut> {
+        let start = Instant::now();
+        let (marking, moving) = (&self.config.marking, &scene.dynamic.gaussians);
+        let mut left_out = LeftOut::default();
+        if marking.covering_alpha > 0.0 && self.method.births() && !moving.is_empty() {
+            let shown = shown(marking, moving, now);
+            let denied = denied(marking, scene, now, &shown);
+            left_out = LeftOut { all: union(&covered(marking, scene, now, &shown)?, &denied), denied };
+        }
+        log.since(stage::VALIDATION, start);
+        Ok(left_out)
+    }
+
+    /// In the rounds in which the static layer may change its shape, those that stand before what moves stay out for good.
+    pub(crate) fn remove_denied(&self, frame: usize, state: &mut State, denied: &[u32]) {
+        if denied.is_empty() || !frame.is_multiple_of(self.config.disocclusion.every) {
+            return;
+        }
+        let places: Vec<usize> = denied.iter().map(|&i| i as usize).collect();
+        state.scene.keep(&places);
+        state.static_lane.forget();
+        tracing::debug!("frame {frame}: {} static Gaussians hid what moves and are gone", denied.len());
+    }
+}
+
+/// Where each view shows what moves.
+pub(crate) fn shown(marking: &MarkingConfig, moving: &Gaussians, views: &[TrainingView]) -> Vec<Mask> {
+    views.par_iter().map(|view| shown_in(moving, view, marking.covering_alpha)).collect()
+}
+
+/// The foreground of `view` where `layer`, which moves, has at least this alpha. Masks alone would do where they are right; one that errs has nothing
+/// in it that moves.
+fn shown_in(layer: &Gaussians, view: &TrainingView, alpha: f32) -> Mask {
+    let tiles = TileMask::covering(&view.mask);
+    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
+    let mut tape = RenderTape::default();
+    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
+    CpuRasterizer::new(options).render(layer, &frame, &mut tape);
+    let pixels = tape.transmittance().iter().zip(view.mask.data());
+    let hidden = pixels.map(|(&t, &inside)| u8::from(inside != 0 && 1.0 - t >= alpha)).collect();
+    Mask::new(view.mask.size(), hidden).expect("one value per pixel")
+}
