@@ -5,12 +5,12 @@
 mod flicker;
 mod psnr;
 mod ssim;
+mod window;
 
 pub use flicker::{Seen, flicker, masked_flicker};
 pub use psnr::{mpsnr, psnr};
-pub use ssim::{
-    Border, LossAndGradient, SsimError, SsimMap, SsimPair, WINDOW, loss_3dgs, ssim, ssim_and_gradient,
-};
+pub use ssim::{Border, LossAndGradient, SsimError, SsimMap, SsimPair, loss_3dgs, ssim, ssim_and_gradient};
+pub use window::WINDOW;
 
 use ffgs_core::ImageSize;
 use thiserror::Error;

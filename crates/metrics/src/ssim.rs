@@ -1,5 +1,6 @@
 //! Structural similarity (Wang et al. 2004), its gradient, and the training loss that uses it.
 
+use crate::window::{Plane, RADIUS, WINDOW, by_bands, filter};
 use crate::{SizeMismatch, same_size};
 use ffgs_core::kernel::{self, Kernel};
 use ffgs_core::{ImageRgb8, ImageSize, Mask, PlanarImage};
@@ -7,10 +8,6 @@ use rayon::prelude::*;
 use std::ops::Range;
 use thiserror::Error;
 
-/// Taps of the separable Gaussian window.
-pub const WINDOW: usize = 11;
-const RADIUS: usize = WINDOW / 2;
-const SIGMA: f64 = 1.5;
 /// Stabilisers (K1 L)^2 and (K2 L)^2 with K1 = 0.01, K2 = 0.03 and range L = 1 (Wang et al. 2004).
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
@@ -227,12 +224,13 @@ struct Local {
 impl Channel<'_> {
     fn map(&self, border: Border) -> Vec<f64> {
         let (margin, width) = (border.margin(), self.width);
-        let band = |rows: Range<usize>| {
-            let moments = self.moments(rows.clone());
-            let inside = (0..rows.len()).flat_map(|y| y * width + margin..(y + 1) * width - margin);
-            inside.map(|i| moments.at(i).ssim).collect::<Vec<f64>>()
-        };
-        bands(margin..self.height - margin).flat_map_iter(band).collect()
+        by_bands(margin..self.height - margin, width - 2 * margin, |rows, out| {
+            let moments = self.moments(rows);
+            let lines = out.chunks_exact_mut(width - 2 * margin);
+            for (y, out) in lines.enumerate() {
+                kernel::dispatch(Similarities { moments: &moments, first: y * width + margin, out });
+            }
+        })
     }
 
     /// The map, and the gradient of its sum. The window is symmetric and the padding zero, so the adjoint of the
@@ -247,8 +245,10 @@ impl Channel<'_> {
             map.push(local.ssim);
             [by[0][i], by[1][i], by[2][i]] = [local.by_mean, local.by_square, local.by_product];
         }
-        let filtered = |plane: Vec<f64>| -> Vec<f64> {
-            bands(0..self.height).flat_map_iter(|rows| self.filter(|i| plane[i], rows)).collect()
+        let filtered = |plane: Vec<f64>| {
+            by_bands(0..self.height, self.width, |rows, out| {
+                out.copy_from_slice(&self.filter(Plane::Weights(&plane), rows));
+            })
         };
         let [mean, square, product] = by.map(filtered);
         let chain = |i: usize| {
@@ -266,113 +266,59 @@ impl Channel<'_> {
 
     /// Of the pixels of some rows.
     fn moments(&self, rows: Range<usize>) -> Moments {
-        let value = |plane: &[f32], i: usize| f64::from(plane[i]);
-        let mean = |a: &[f32]| self.filter(|i| value(a, i), rows.clone());
-        let product = |a: &[f32], b: &[f32]| self.filter(|i| value(a, i) * value(b, i), rows.clone());
+        let (a, b) = (self.rendered, self.target);
+        let mean = |plane| self.filter(plane, rows.clone());
         Moments {
-            mean: [mean(self.rendered), mean(self.target)],
-            square: [product(self.rendered, self.rendered), product(self.target, self.target)],
-            product: product(self.rendered, self.target),
+            mean: [a, b].map(|values| mean(Plane::Values(values))),
+            square: [a, b].map(|values| mean(Plane::Product(values, values))),
+            product: mean(Plane::Product(a, b)),
         }
     }
 
-    /// Convolution of a plane with the window at the pixels of some rows; zero outside the image.
-    fn filter(&self, value: impl Fn(usize) -> f64, rows: Range<usize>) -> Vec<f64> {
-        let (taps, width) = (window(), self.width);
-        let near = rows.start.saturating_sub(RADIUS)..(rows.end + RADIUS).min(self.height);
-        let values: Vec<f64> = (near.start * width..near.end * width).map(value).collect();
-        kernel::dispatch(Filter { taps: &taps, width, height: self.height, near: near.start, rows, values })
-    }
-}
-
-/// Convolution of some rows of a plane.
-struct Filter<'a> {
-    taps: &'a [f64; WINDOW],
-    /// Of the plane.
-    width: usize,
-    height: usize,
-    /// The first row of `values`.
-    near: usize,
-    /// The rows to compute.
-    rows: Range<usize>,
-    /// They, and as many around them as the window reaches.
-    values: Vec<f64>,
-}
-
-impl Kernel for Filter<'_> {
-    type Output = Vec<f64>;
-
-    /// Never fused, so that every machine has the same bits.
-    #[inline(always)]
-    fn run<const FMA: bool>(self) -> Vec<f64> {
-        let Self { taps, width, height, near, rows, values } = self;
-        // A row between as many zeros as the window reaches beyond it.
-        let mut wide = vec![0.0; width + 2 * RADIUS];
-        let mut across = vec![0.0; values.len()];
-        for (row, out) in values.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
-            wide[RADIUS..RADIUS + width].copy_from_slice(row);
-            weigh(out, taps, std::array::from_fn(|t| &wide[t..t + width]));
-        }
-        let zeros = vec![0.0; width];
-        let mut out = vec![0.0; rows.len() * width];
-        for (y, line) in rows.zip(out.chunks_exact_mut(width)) {
-            let neighbour = |t: usize| {
-                let row = (y + t).checked_sub(RADIUS).filter(|&row| row < height);
-                row.map_or(&zeros[..], |row| &across[(row - near) * width..(row - near + 1) * width])
-            };
-            weigh(line, taps, std::array::from_fn(neighbour));
-        }
-        out
-    }
-}
-
-/// The sum of the taps times the rows, which are as long as `out`.
-#[inline(always)]
-fn weigh(out: &mut [f64], taps: &[f64; WINDOW], rows: [&[f64]; WINDOW]) {
-    let rows = rows.map(|row| &row[..out.len()]);
-    for (x, out) in out.iter_mut().enumerate() {
-        let mut sum = 0.0;
-        for t in 0..WINDOW {
-            sum += taps[t] * rows[t][x];
-        }
-        *out = sum;
+    fn filter(&self, plane: Plane, rows: Range<usize>) -> Vec<f64> {
+        filter(plane, [self.height, self.width], rows)
     }
 }
 
 impl Moments {
     fn at(&self, i: usize) -> Local {
-        let [m1, m2] = [self.mean[0][i], self.mean[1][i]];
-        let s1 = self.square[0][i] - m1 * m1;
-        let s2 = self.square[1][i] - m2 * m2;
-        let s12 = self.product[i] - m1 * m2;
-        let (a, b) = (2.0 * m1 * m2 + C1, 2.0 * s12 + C2);
-        let (c, d) = (m1 * m1 + m2 * m2 + C1, s1 + s2 + C2);
-        let ssim = a * b / (c * d);
-        let by_square = -ssim / d;
-        let by_product = 2.0 * a / (c * d);
-        let by_mean = 2.0 * m2 * b / (c * d) - 2.0 * m1 * ssim / c - 2.0 * m1 * by_square - m2 * by_product;
-        Local { ssim, by_mean, by_square, by_product }
+        local(self.mean.each_ref().map(|m| m[i]), self.square.each_ref().map(|s| s[i]), self.product[i])
     }
 }
 
-/// Rows that are filtered together: their planes stay in a processor's cache, and ten rows around them are filtered twice.
-const BAND: usize = 32;
-
-/// Bands of some rows, for all processors.
-fn bands(rows: Range<usize>) -> impl ParallelIterator<Item = Range<usize>> {
-    let Range { start, end } = rows;
-    (0..(end - start).div_ceil(BAND)).into_par_iter().map(move |band| {
-        let first = start + band * BAND;
-        first..(first + BAND).min(end)
-    })
+/// SSIM of one pixel from the moments of both images there.
+#[inline(always)]
+fn local([m1, m2]: [f64; 2], [q1, q2]: [f64; 2], product: f64) -> Local {
+    let (s1, s2, s12) = (q1 - m1 * m1, q2 - m2 * m2, product - m1 * m2);
+    let (a, b) = (2.0 * m1 * m2 + C1, 2.0 * s12 + C2);
+    let (c, d) = (m1 * m1 + m2 * m2 + C1, s1 + s2 + C2);
+    let ssim = a * b / (c * d);
+    let by_square = -ssim / d;
+    let by_product = 2.0 * a / (c * d);
+    let by_mean = 2.0 * m2 * b / (c * d) - 2.0 * m1 * ssim / c - 2.0 * m1 * by_square - m2 * by_product;
+    Local { ssim, by_mean, by_square, by_product }
 }
 
-fn window() -> [f64; WINDOW] {
-    let mut taps = [0.0; WINDOW];
-    for (i, tap) in taps.iter_mut().enumerate() {
-        let distance = i as f64 - RADIUS as f64;
-        *tap = (-distance * distance / (2.0 * SIGMA * SIGMA)).exp();
+/// SSIM of as many pixels as `out` holds, from the moments of pixel `first` on.
+struct Similarities<'a> {
+    moments: &'a Moments,
+    first: usize,
+    out: &'a mut [f64],
+}
+
+impl Kernel for Similarities<'_> {
+    type Output = ();
+
+    /// Never fused, so that every machine has the same bits.
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { moments: Moments { mean, square, product }, first, out } = self;
+        let range = first..first + out.len();
+        let [m1, m2] = [&mean[0][range.clone()], &mean[1][range.clone()]];
+        let [q1, q2] = [&square[0][range.clone()], &square[1][range.clone()]];
+        let p = &product[range];
+        for i in 0..out.len() {
+            out[i] = local([m1[i], m2[i]], [q1[i], q2[i]], p[i]).ssim;
+        }
     }
-    let sum: f64 = taps.iter().sum();
-    taps.map(|t| t / sum)
 }
