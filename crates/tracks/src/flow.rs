@@ -49,17 +49,15 @@ impl RawFlow {
         if self.size != expected {
             return Err(TracksError::Size { file: file.to_owned(), expected, found: self.size });
         }
-        let mut motion = DenseMotion::unknown(expected);
-        let mut dropped = 0;
-        for (i, flow) in self.flow.iter().enumerate() {
-            if flow.iter().all(|v| v.abs() <= UNKNOWN_FLOW) {
-                motion.flow[i] = *flow;
-                motion.visibility[i] = 1.0;
-                motion.confidence[i] = 1.0;
-            } else {
+        let (read, mut dropped, mut flow) = (self.flow.len(), 0, self.flow);
+        let mut known = vec![1.0; read];
+        for (flow, known) in flow.iter_mut().zip(&mut known) {
+            if !flow.iter().all(|v| v.abs() <= UNKNOWN_FLOW) {
+                (*flow, *known) = ([0.0; 2], 0.0);
                 dropped += 1;
             }
         }
-        Ok(Tracked { motion: ViewMotion::Dense(motion), read: self.flow.len(), dropped })
+        let motion = DenseMotion { size: expected, flow, visibility: known.clone(), confidence: known };
+        Ok(Tracked { motion: ViewMotion::Dense(motion), read, dropped })
     }
 }

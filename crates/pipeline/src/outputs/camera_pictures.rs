@@ -92,7 +92,8 @@ impl<'a> Believed<'a> {
         let mut all = Vec::new();
         let (name, next) = (&self.capture.views(Split::Train)[at.view], at.frame + 1);
         let Some(store) = self.tracks.as_ref().filter(|_| next < self.capture.frames()) else { return all };
-        for tracker in 0..store.trackers().len() {
+        let sparse = |&tracker: &usize| !store.trackers()[tracker].format.is_dense();
+        for tracker in (0..store.trackers().len()).filter(sparse) {
             // Faults of the files are listed by the check.
             if !store.path(tracker, name, next).is_ok_and(|file| is_present(&file)) {
                 continue;
