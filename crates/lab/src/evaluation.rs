@@ -155,6 +155,8 @@ impl Evaluation {
         let before = load_training(&*self.capture, &self.exposures, &self.views, frame - 1)?;
         let now = load_training(&*self.capture, &self.exposures, &self.views, frame)?;
         let previous = moving.positions();
+        let reduction = self.config.resolution.dynamic(&moving, &now);
+        let reduced = [&before, &now].map(|views| TrainingView::all_reduced(views, reduction));
         let step = Step {
             frame,
             seed: self.config.seed,
@@ -162,7 +164,7 @@ impl Evaluation {
             views: &self.views,
             before: &before,
             now: &now,
-            reduction: self.config.resolution.dynamic(&moving, &now),
+            reduced: [&reduced[0], &reduced[1]],
             tracks: &self.tracks,
         };
         let input = MotionInput {

@@ -97,9 +97,9 @@ pub struct Step<'a> {
     pub before: &'a [TrainingView],
     /// These views at t.
     pub now: &'a [TrainingView],
-    /// Side (px) of the blocks of pixels to which photographs can be reduced where they are compared with the moving layer, as its splats
-    /// are no finer ([`TrainingView::all_reduced`], docs/adr/0054); 1 = they stay as they are.
-    pub reduction: usize,
+    /// The views at t-1 and at t, their pixels as large as the splats of the moving layer allow ([`TrainingView::all_reduced`],
+    /// docs/adr/0054): for comparisons with that layer.
+    pub reduced: [&'a [TrainingView]; 2],
     /// The capture's trackers.
     pub tracks: &'a [Box<dyn TrackSource>],
 }

@@ -119,7 +119,7 @@ impl World {
             views: &views,
             before: &before,
             now: &now,
-            reduction: 1,
+            reduced: [&before, &now],
             tracks,
         })
     }

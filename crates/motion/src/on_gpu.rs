@@ -170,7 +170,7 @@ mod tests {
             views: &views,
             before: &now,
             now: &now,
-            reduction: 1,
+            reduced: [&now, &now],
             tracks: &tracks,
         };
         let trackers = || tracks.iter().map(AsRef::as_ref).collect::<Vec<&dyn TrackSource>>();

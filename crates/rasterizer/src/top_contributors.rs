@@ -7,7 +7,7 @@ use crate::projection::Splat;
 use crate::tape::{RenderTape, for_each_pixel};
 use crate::tile_lists::Entry;
 use crate::view::View;
-use ffgs_core::{Gaussians, instructions};
+use ffgs_core::{Gaussians, ImageSize, instructions};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -23,7 +23,7 @@ pub struct TopContributors {
 }
 
 impl CpuRasterizer {
-    /// Renders `gaussians` and lists the `count` largest contributions of each pixel.
+    /// Sorts `gaussians` into `tape` and lists the `count` largest contributions of each pixel.
     pub fn top_contributors(
         &self,
         gaussians: &Gaussians,
@@ -31,23 +31,24 @@ impl CpuRasterizer {
         count: usize,
         tape: &mut RenderTape,
     ) -> TopContributors {
-        self.top_contributors_where(gaussians, view, count, |_| true, tape)
+        self.prepare(&[gaussians], view, tape);
+        TopContributors::of(tape, view.camera.size(), count, |_| true)
     }
+}
 
-    /// Like [`Self::top_contributors`], of the pixels (row by row) that are `wanted`: the lists of all others stay empty.
-    pub fn top_contributors_where(
-        &self,
-        gaussians: &Gaussians,
-        view: &View,
+impl TopContributors {
+    /// Those of the pixels (row by row) that are `wanted`, in a view of this `size` that was rendered or prepared; the lists of all others stay
+    /// empty.
+    pub fn of(
+        tape: &RenderTape,
+        size: ImageSize,
         count: usize,
         wanted: impl Fn(usize) -> bool + Sync,
-        tape: &mut RenderTape,
-    ) -> TopContributors {
-        self.prepare(&[gaussians], view, tape);
-        let (size, grid, lists, splats) = (view.camera.size(), tape.grid, &tape.lists, &tape.splats);
+    ) -> Self {
+        let (grid, lists, splats) = (tape.grid, &tape.lists, &tape.splats);
         let width = size.width;
         let n = size.pixels() * count;
-        let mut out = TopContributors { count, indices: vec![-1; n], weights: vec![0.0; n] };
+        let mut out = Self { count, indices: vec![-1; n], weights: vec![0.0; n] };
         let band = (TILE * width * count).max(1);
         let rows = out.indices.par_chunks_mut(band).zip(out.weights.par_chunks_mut(band)).enumerate();
         rows.for_each(|(row, (indices, weights))| {

@@ -3,7 +3,7 @@
 use ffgs_core::{Camera, DenseMotion, Gaussians, ImageSize, Intrinsics, Mask};
 use ffgs_rasterizer::{
     Association, AssociationScene, AssociationScratch, Background, ContributorLists, CpuRasterizer, Observed,
-    RenderOptions, RenderTape, View, associate_lists,
+    RenderOptions, RenderTape, TopContributors, View, associate_lists,
 };
 use glam::{DMat4, DVec2, DVec3};
 
@@ -88,7 +88,7 @@ fn lists_of_some_pixels_are_those_of_all() {
     let (rasterizer, mut tape) = (CpuRasterizer::default(), RenderTape::default());
     let wanted = |pixel: usize| pixel % 3 == 1;
     let all = rasterizer.top_contributors(&gaussians, &view, CONTRIBUTORS, &mut tape);
-    let some = rasterizer.top_contributors_where(&gaussians, &view, CONTRIBUTORS, wanted, &mut tape);
+    let some = TopContributors::of(&tape, view.camera.size(), CONTRIBUTORS, wanted);
     let (mut listed, mut unlisted) = (0, 0);
     for pixel in 0..SIZE.pixels() {
         let list = pixel * CONTRIBUTORS..(pixel + 1) * CONTRIBUTORS;

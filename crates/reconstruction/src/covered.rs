@@ -1,5 +1,6 @@
 //! Static Gaussians that what moves covers from all views (docs/adr/0068-what-is-covered-is-not-drawn.md).
 
+use crate::shown::Shown;
 use anyhow::Result;
 use ffgs_core::{Camera, Mask, Scene, TrainingView};
 use ffgs_fusion::{ViewCounts, count_views};
@@ -12,10 +13,10 @@ pub(crate) fn covered(
     marking: &MarkingConfig,
     scene: &Scene,
     views: &[TrainingView],
-    shown: &[Mask],
+    shown: &[Shown],
 ) -> Result<Vec<u32>> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let shown: Vec<Mask> = shown.par_iter().map(|shown| shown.widened(marking.dilation)).collect();
+    let shown: Vec<Mask> = shown.par_iter().map(|shown| shown.mask.widened(marking.dilation)).collect();
     let counts = count_views(&scene.static_layer.positions(), &cameras, &shown)?;
     let is_covered = |c: &ViewCounts| c.seen > 0 && c.inside == c.seen;
     Ok((0..).zip(&counts).filter(|(_, counts)| is_covered(counts)).map(|(i, _)| i).collect())
@@ -24,7 +25,7 @@ pub(crate) fn covered(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::left_out::shown;
+    use crate::shown::shown;
     use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
     use ffgs_core::Gaussians;
     use glam::Vec3;

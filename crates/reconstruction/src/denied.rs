@@ -1,8 +1,8 @@
 //! Static Gaussians before something that moves, which a photograph shows all the same (docs/adr/0079-nothing-stands-before-what-is-seen.md).
 
-use ffgs_core::{Gaussians, Mask, Scene, TrainingView, sigmoid};
+use crate::shown::Shown;
+use ffgs_core::{Gaussians, Scene, TrainingView, sigmoid};
 use ffgs_motion::MarkingConfig;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -18,11 +18,13 @@ pub(crate) fn denied(
     marking: &MarkingConfig,
     scene: &Scene,
     views: &[TrainingView],
-    shown: &[Mask],
+    shown: &[Shown],
 ) -> Vec<u32> {
     let (layer, moving) = (&scene.static_layer, &scene.dynamic.gaussians);
-    let views = views.par_iter().zip(shown).filter(|(_, shown)| shown.count() > 0);
-    let behind: Vec<Behind> = views.map(|(view, shown)| Behind::new(marking, moving, view, shown)).collect();
+    let views = views.iter().zip(shown).filter(|(_, shown)| shown.mask.count() > 0);
+    let margin = |shown: &Shown| shown.mask.margin(marking.dilation);
+    let behind: Vec<Behind> =
+        views.map(|(view, shown)| Behind { view, shown, margin: margin(shown), moving }).collect();
     let stands_before = |&i: &usize| {
         sigmoid(layer.opacity_logits[i]) >= LEAST_OPACITY && behind.iter().any(|b| b.denies(layer, i))
     };
@@ -32,35 +34,21 @@ pub(crate) fn denied(
 /// What moves, in a view.
 struct Behind<'a> {
     view: &'a TrainingView,
-    /// Where it is shown.
-    shown: &'a Mask,
+    /// Where it is shown, and by which Gaussians.
+    shown: &'a Shown,
     /// Pixels from its edge within which it is not known which of both a pixel shows.
     margin: usize,
     moving: &'a Gaussians,
-    /// (H, W) the moving Gaussian that a pixel shows most of; -1 where there is none.
-    shows: Vec<i32>,
 }
 
-impl<'a> Behind<'a> {
-    fn new(marking: &MarkingConfig, moving: &'a Gaussians, view: &'a TrainingView, shown: &'a Mask) -> Self {
-        let margin = shown.margin(marking.dilation);
-        let tiles = TileMask::covering(&view.mask);
-        let background = Background::Colour([0.0; 3]);
-        let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
-        let inside = |pixel: usize| shown.data()[pixel] != 0;
-        let tape = &mut RenderTape::default();
-        let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
-        let top = CpuRasterizer::new(options).top_contributors_where(moving, &frame, 1, inside, tape);
-        Self { view, shown, margin, moving, shows: top.indices }
-    }
-
+impl Behind<'_> {
     /// Whether it is shown at a pixel and all around it.
     fn surrounds(&self, x: usize, y: usize) -> bool {
-        let (size, margin) = (self.shown.size(), self.margin);
+        let (mask, margin) = (&self.shown.mask, self.margin);
+        let size = mask.size();
         let columns = x.saturating_sub(margin)..(x + margin + 1).min(size.width);
         let mut rows = y.saturating_sub(margin)..(y + margin + 1).min(size.height);
-        self.shown.contains(x, y)
-            && rows.all(|row| columns.clone().all(|column| self.shown.contains(column, row)))
+        mask.contains(x, y) && rows.all(|row| columns.clone().all(|column| mask.contains(column, row)))
     }
 
     /// Whether Gaussian `i` of `layer` lies wholly before it.
@@ -70,7 +58,7 @@ impl<'a> Behind<'a> {
             return false;
         };
         let depth = |layer: &Gaussians, i: usize| Some(camera.project(place(layer, i))?.depth);
-        let shown = usize::try_from(self.shows[y * camera.size().width + x]);
+        let shown = usize::try_from(self.shown.gaussians[y * camera.size().width + x]);
         let behind = shown.ok().and_then(|shown| depth(self.moving, shown));
         let longest = layer.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
         let before = |(near, far): (f64, f64)| near + REACH * f64::from(longest) < (1.0 - NEARER) * far;
@@ -86,8 +74,9 @@ fn place(layer: &Gaussians, i: usize) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::left_out::shown;
+    use crate::shown::shown;
     use crate::test_scene::{SIZE, ball, photographs, scene, without_masks};
+    use ffgs_core::Mask;
     use glam::Vec3;
 
     /// The ball around the origin, and static Gaussians of 2 cm at `places`.

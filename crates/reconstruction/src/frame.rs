@@ -8,9 +8,10 @@
 //! ```
 
 use crate::first_training::{Earlier, FirstViews};
-use crate::knowledge::Predicted;
+use crate::knowledge::{Predicted, learn};
 use crate::lanes::FrameStart;
 use crate::reconstructor::{Reconstructor, State};
+use crate::reduced::Reduced;
 use crate::stops::Moving;
 use anyhow::{Context, Result};
 use ffgs_core::{Scene, StageLog, TrainingView};
@@ -36,7 +37,8 @@ impl Reconstructor<'_> {
             None => self.train_first(&mut photographs, log)?,
         };
         if scene.dynamic.knowledge.information.is_empty() {
-            self.learn(&mut scene, None, &photographs.views, log);
+            let coarse = self.reduced(&scene, &photographs.views);
+            learn(&mut scene, None, &coarse, log);
         }
         self.find_hidden(&mut scene, &photographs.views)?;
         let mut state = State::new(scene, photographs.into_training(), exposures);
@@ -66,7 +68,9 @@ impl Reconstructor<'_> {
         let keeps_stopped = self.config.marking.second_chance && self.method.births();
         let moving = keeps_stopped.then(|| Moving::of(&state.scene.dynamic));
         let before = std::mem::take(&mut state.views);
-        let step = self.step(frame, &state.scene, &before, &now);
+        let coarse = self.reduced(&state.scene, &now);
+        let coarse_before = Reduced::new(&before, coarse.factor);
+        let step = self.step(frame, [&before, &now], [&coarse_before, &coarse]);
         let prediction = self.method.predict(&step, &mut state.scene, log);
         prediction.with_context(|| self.named(&format!("prediction of frame {frame}")))?;
         state.scene.take_back();
@@ -75,20 +79,20 @@ impl Reconstructor<'_> {
         }
         predicted(&step, &state.scene)?;
         if self.method.births() {
-            self.add_newborn(frame, &mut state.scene, &now, log)?;
+            self.add_newborn(frame, &mut state.scene, &coarse.views, log)?;
         }
         let known = Predicted::new(&state.scene, &self.config.dynamic);
         let finetuning = self.method.finetune(&step, &mut state.scene, log);
         match finetuning.with_context(|| self.named(&format!("finetuning of frame {frame}")))? {
             Finetuning::ByLanes => {
                 let prior = known.as_ref().map(Predicted::prior);
-                let (views, dynamic_lane) = (&now[..], self.config.dynamic);
-                let left_out = self.find_left_out(&state.scene, views, log)?;
-                let start = FrameStart { frame, dynamic_lane, prior, views, left_out: &left_out.all };
+                let left_out = self.find_left_out(&state.scene, &coarse.views, log)?;
+                let (dynamic_lane, views, coarse) = (self.config.dynamic, &now[..], &coarse);
+                let start = FrameStart { frame, dynamic_lane, prior, views, coarse, left_out: &left_out.all };
                 self.train_lanes(&start, &mut state, log)?;
                 self.train_disoccluded(frame, &mut state, &now, log)?;
                 self.remove_denied(frame, &mut state, &left_out.denied);
-                self.learn(&mut state.scene, known.as_ref(), &now, log);
+                learn(&mut state.scene, known.as_ref(), coarse, log);
             }
             Finetuning::Done => {}
         }
@@ -108,9 +112,10 @@ impl Reconstructor<'_> {
         let known = Predicted::new(&state.scene, &dynamic_lane);
         let prior = known.as_ref().map(Predicted::prior);
         let views = std::mem::take(&mut state.views);
-        let start = FrameStart { frame, dynamic_lane, prior, views: &views, left_out: &[] };
+        let coarse = &self.reduced(&state.scene, &views);
+        let start = FrameStart { frame, dynamic_lane, prior, views: &views, coarse, left_out: &[] };
         self.train_lanes(&start, state, log)?;
-        self.learn(&mut state.scene, known.as_ref(), &views, log);
+        learn(&mut state.scene, known.as_ref(), coarse, log);
         state.views = views;
         Ok(())
     }

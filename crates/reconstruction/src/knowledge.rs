@@ -2,11 +2,12 @@
 //! increased by that of the frame's photographs (docs/adr/0019-information-is-the-prior-of-the-next-frame.md).
 
 use crate::reduced::Reduced;
-use ffgs_core::{Gaussians, Knowledge, Scene, SkyCube};
+use ffgs_core::{Gaussians, Knowledge, Scene, SkyCube, StageLog, stage};
 use ffgs_fusion::symmetric_inverse;
 use ffgs_rasterizer::Information;
 use ffgs_trainer::{Drift, DynamicLaneConfig, Gain, PixelNoise, Prior, information_gain};
 use glam::DMat3;
+use std::time::Instant;
 
 /// The prediction before a frame's photographs.
 pub(crate) struct Predicted {
@@ -77,7 +78,8 @@ pub(crate) fn curvature(layers: &[&Gaussians], sky: &SkyCube, views: &Reduced, p
 }
 
 /// Adds the information of `views`, reduced or not, on the trained scene; `predicted` is the information before, and the start of the training.
-pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &Reduced) {
+pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &Reduced, log: &mut StageLog) {
+    let start = Instant::now();
     if scene.dynamic.gaussians.is_empty() {
         return;
     }
@@ -100,6 +102,7 @@ pub(crate) fn learn(scene: &mut Scene, predicted: Option<&Predicted>, views: &Re
     // Of whole pixels, as the next frame may be reduced otherwise.
     let correlated = noise.correlated * (views.factor * views.factor) as f64;
     dynamic.knowledge = Knowledge { information: known, drift, noise: [noise.sigma, correlated] };
+    log.since(stage::INFORMATION, start);
 }
 
 fn add(sum: &mut Gaussians, more: &Gaussians) {
@@ -139,7 +142,7 @@ mod tests {
         let views = photographs(&ball(Vec3::ZERO));
         let mut scene = scene(&ball(Vec3::ZERO));
         let whole = Reduced::new(&views, 1);
-        learn(&mut scene, None, &whole);
+        learn(&mut scene, None, &whole, &mut StageLog::default());
         let config = DynamicLaneConfig::default();
         let predicted = Predicted::new(&scene, &config).unwrap();
         let known = predicted.prior();

@@ -1,11 +1,11 @@
 //! The three lanes of a frame.
 
-use crate::knowledge::{self, Predicted};
+use crate::knowledge;
 use crate::reconstructor::{Reconstructor, State};
 use crate::reduced::Reduced;
 use anyhow::Result;
 use ffgs_core::{Scene, StageLog, TrainingView, stage};
-use ffgs_trainer::{DynamicLaneConfig, Prior, Progress, StaticColours, StaticTargets, Surroundings};
+use ffgs_trainer::{DynamicLaneConfig, Prior, StaticColours, StaticTargets, Surroundings};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -19,6 +19,8 @@ pub(crate) struct FrameStart<'a> {
     pub prior: Option<Prior<'a>>,
     /// Photographs of the frame.
     pub views: &'a [TrainingView],
+    /// The same for the moving layer.
+    pub coarse: &'a Reduced<'a>,
     /// Static Gaussians that what moves covers or that stand before it, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
     /// lane keeps them, as its linear system has to stay the same from frame to frame.
     pub left_out: &'a [u32],
@@ -33,38 +35,32 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<()> {
         let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
-        let FrameStart { ref dynamic_lane, prior, views, left_out, .. } = *start;
+        let FrameStart { ref dynamic_lane, prior, views, coarse, left_out, .. } = *start;
         let State { scene, static_lane, .. } = state;
         let (static_start, sky_start) = (scene.without(left_out), scene.sky.clone());
         let (before, mut passing) = (Arc::clone(&scene.static_layer), Vec::new());
         let around = Surroundings { static_layer: &static_start, sky: &sky_start, prior };
         let Scene { static_layer, static_colours, dynamic, sky, .. } = scene;
-        let moving = Reduced::new(views, config.resolution.dynamic(&dynamic.gaussians, views));
         let expecting = Instant::now();
         let natural = prior.filter(|_| dynamic_lane.natural_step > 0.0);
         let layers = [&static_start, &dynamic.gaussians];
-        let curvature = natural.map(|prior| knowledge::curvature(&layers, &sky_start, &moving, prior));
+        let curvature = natural.map(|prior| knowledge::curvature(&layers, &sky_start, coarse, prior));
         let prior = prior.map(|p| Prior { curvature: curvature.as_ref().unwrap_or(p.curvature), ..p });
         let around = Surroundings { prior, ..around };
         log.since(stage::INFORMATION, expecting);
         let standing = Reduced::new(views, config.resolution.static_layer(static_layer, views));
         tracing::debug!(
             "photographs are reduced by {} for the dynamic layer, by {} for the static one",
-            moving.factor,
+            coarse.factor,
             standing.factor
         );
-        let [reduced, _] = config.resolution.steps(dynamic_lane.iterations, moving.factor);
-        let [on_reduced, on_whole] = dynamic_lane.cut(reduced);
         let show_dynamic = self.monitor.begin(stage::DYNAMIC, dynamic_lane.iterations);
         let show_static = self.monitor.begin(stage::STATIC, config.background.static_passes());
         let background = &config.background;
         let train_dynamic = || {
             let layer = &mut dynamic.gaussians;
-            let report = &mut |p| show_dynamic(p);
-            let of_blocks = Surroundings { prior: prior.map(|p| p.reduced(moving.factor)), ..around };
-            devices.dynamic(&on_reduced, &moving.views, of_blocks, layer, seed, report)?;
-            let report = &mut |p| show_dynamic(after(on_reduced.iterations, p));
-            devices.dynamic(&on_whole, views, around, layer, seed, report)
+            let around = Surroundings { prior: prior.map(|p| p.reduced(coarse.factor)), ..around };
+            devices.dynamic(dynamic_lane, &coarse.views, around, layer, seed, &mut |p| show_dynamic(p))
         };
         let train_static = || {
             let targets = StaticTargets { views: &standing.views, sky: &sky_start };
@@ -82,20 +78,6 @@ impl Reconstructor<'_> {
         scene.put_aside(union(&passing, left_out), &before);
         Ok(())
     }
-
-    /// Adds what the photographs tell of the dynamic layer to what is known of it.
-    pub(crate) fn learn(
-        &self,
-        scene: &mut Scene,
-        predicted: Option<&Predicted>,
-        views: &[TrainingView],
-        log: &mut StageLog,
-    ) {
-        let start = Instant::now();
-        let reduced = Reduced::new(views, self.config.resolution.dynamic(&scene.dynamic.gaussians, views));
-        knowledge::learn(scene, predicted, &reduced);
-        log.since(stage::INFORMATION, start);
-    }
 }
 
 /// Ascending, of ascending numbers.
@@ -110,9 +92,4 @@ pub(crate) fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
 fn timed(work: impl FnOnce() -> Result<()>) -> Result<f64> {
     let start = Instant::now();
     work().map(|()| start.elapsed().as_secs_f64())
-}
-
-/// The progress of a training that goes on after so many steps.
-fn after(steps: usize, rest: Progress) -> Progress {
-    Progress { iteration: rest.iteration + steps, iterations: rest.iterations + steps, ..rest }
 }

@@ -4,11 +4,9 @@ use crate::covered::covered;
 use crate::denied::denied;
 use crate::lanes::union;
 use crate::reconstructor::{Reconstructor, State};
+use crate::shown::shown;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, stage};
-use ffgs_motion::MarkingConfig;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
-use rayon::prelude::*;
+use ffgs_core::{Scene, StageLog, TrainingView, stage};
 use std::time::Instant;
 
 /// Indices, ascending.
@@ -50,22 +48,4 @@ impl Reconstructor<'_> {
         state.static_lane.forget();
         tracing::debug!("frame {frame}: {} static Gaussians hid what moves and are gone", denied.len());
     }
-}
-
-/// Where each view shows what moves.
-pub(crate) fn shown(marking: &MarkingConfig, moving: &Gaussians, views: &[TrainingView]) -> Vec<Mask> {
-    views.par_iter().map(|view| shown_in(moving, view, marking.covering_alpha)).collect()
-}
-
-/// The foreground of `view` where `layer`, which moves, has at least this alpha. Masks alone would do where they are right; one that errs has nothing
-/// in it that moves.
-fn shown_in(layer: &Gaussians, view: &TrainingView, alpha: f32) -> Mask {
-    let tiles = TileMask::covering(&view.mask);
-    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: Some(&tiles) };
-    let mut tape = RenderTape::default();
-    let options = RenderOptions { sh_degree: Some(0), ..RenderOptions::default() };
-    CpuRasterizer::new(options).render(layer, &frame, &mut tape);
-    let pixels = tape.transmittance().iter().zip(view.mask.data());
-    let hidden = pixels.map(|(&t, &inside)| u8::from(inside != 0 && 1.0 - t >= alpha)).collect();
-    Mask::new(view.mask.size(), hidden).expect("one value per pixel")
 }

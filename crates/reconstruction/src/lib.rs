@@ -21,6 +21,7 @@ mod marking;
 mod monitor;
 mod reconstructor;
 mod reduced;
+mod shown;
 mod sky;
 mod stops;
 #[cfg(test)]

@@ -4,6 +4,7 @@ use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
 use crate::exposures::Exposures;
 use crate::monitor::Monitor;
+use crate::reduced::Reduced;
 use ffgs_core::{Scene, TrainingView};
 use ffgs_method::{Capture, MotionMethod, Step, TrackSource};
 use ffgs_trainer::StaticLane;
@@ -58,19 +59,23 @@ impl<'a> Reconstructor<'a> {
         format!("method {}: {what}", self.method_name)
     }
 
-    /// The step of `scene` from `before` to `now`, the photographs of `frame`.
+    /// `views` as they are compared with what moves in `scene`.
+    pub(crate) fn reduced<'v>(&self, scene: &Scene, views: &'v [TrainingView]) -> Reduced<'v> {
+        Reduced::new(views, self.config.resolution.dynamic(&scene.dynamic.gaussians, views))
+    }
+
+    /// The step to `frame` between the photographs `before` and `now`, which are `reduced` for the moving layer.
     pub(crate) fn step<'s>(
         &self,
         frame: usize,
-        scene: &Scene,
-        before: &'s [TrainingView],
-        now: &'s [TrainingView],
+        [before, now]: [&'s [TrainingView]; 2],
+        reduced: [&'s Reduced<'s>; 2],
     ) -> Step<'s>
     where
         'a: 's,
     {
         let Self { capture, views, tracks, .. } = *self;
-        let reduction = self.config.resolution.dynamic(&scene.dynamic.gaussians, now);
-        Step { frame, seed: self.config.seed, capture, views, before, now, reduction, tracks }
+        let reduced = reduced.map(|views| &*views.views);
+        Step { frame, seed: self.config.seed, capture, views, before, now, reduced, tracks }
     }
 }

@@ -75,21 +75,6 @@ impl Default for DynamicLaneConfig {
 }
 
 impl DynamicLaneConfig {
-    /// The same schedule cut in two: its `first` steps, and those that are left.
-    #[must_use]
-    pub fn cut(&self, first: usize) -> [Self; 2] {
-        let first = first.min(self.iterations);
-        if first == 0 {
-            return [Self { iterations: 0, ..*self }, *self];
-        }
-        let (rate, share) = (self.position_rate_px(first), self.natural_step(first));
-        let rest = self.iterations - first;
-        [
-            Self { iterations: first, position_rate_end_px: rate, natural_step_end: share, ..*self },
-            Self { iterations: rest, position_rate_px: rate, natural_step: share, ..*self },
-        ]
-    }
-
     fn natural_step(&self, iteration: usize) -> f32 {
         if self.natural_step == 0.0 {
             return 0.0;
@@ -168,24 +153,4 @@ fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView
     // A region that reaches beyond the usual tiles takes its own.
     let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION.max(config.loss_dilation)));
     TaskView { view, region: Some(region), tiles: Some(tiles) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn two_parts_have_the_rates_of_the_whole() {
-        let whole = DynamicLaneConfig { iterations: 300, ..DynamicLaneConfig::default() };
-        let [first, second] = whole.cut(270);
-        assert_eq!([first.iterations, second.iterations], [270, 30]);
-        for step in [0, 100, 269, 270, 299] {
-            let expected = whole.rates(step, 2.0).means;
-            let (part, at) = if step < 270 { (first, step) } else { (second, step - 270) };
-            let (part, natural) = (part.rates(at, 2.0), part.natural_step(at));
-            assert!((part.means / expected - 1.0).abs() < 1e-4, "step {step}: {} {expected}", part.means);
-            assert!((natural / whole.natural_step(step) - 1.0).abs() < 1e-4, "step {step}: {natural}");
-        }
-        assert_eq!(whole.cut(0)[1], whole, "undivided, to the last bit");
-    }
 }

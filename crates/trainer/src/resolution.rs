@@ -19,13 +19,11 @@ pub struct ResolutionConfig {
     /// Likewise of the static layer and the sky. Their shape stays, so colours alone have to answer for what a reduced render is off, and the
     /// splats have to be larger.
     pub static_splat_px: f32,
-    /// Share of the dynamic lane's steps that are taken on whole photographs, at the end.
-    pub whole_share: f32,
 }
 
 impl Default for ResolutionConfig {
     fn default() -> Self {
-        Self { splat_px: 1.0, static_splat_px: 2.0, whole_share: 0.1 }
+        Self { splat_px: 1.0, static_splat_px: 2.0 }
     }
 }
 
@@ -39,15 +37,6 @@ impl ResolutionConfig {
     /// Likewise with the static one.
     pub fn static_layer(self, layer: &Gaussians, views: &[TrainingView]) -> usize {
         reduction(self.static_splat_px, layer, views)
-    }
-
-    /// Of the `iterations` of the dynamic lane, those on reduced photographs and those on whole ones.
-    pub fn steps(self, iterations: usize, reduction: usize) -> [usize; 2] {
-        if reduction <= 1 {
-            return [0, iterations];
-        }
-        let whole = (f64::from(self.whole_share) * iterations as f64).round() as usize;
-        [iterations - whole.min(iterations), whole.min(iterations)]
     }
 }
 
@@ -134,13 +123,5 @@ mod tests {
         let none = Gaussians::zeros(0, 0);
         assert_eq!([&behind, &none].map(|layer| reduction(1.0, layer, &[view(4)])), [1, 1]);
         assert_eq!(reduction(1.0, &discs(&[9.0]), &[]), 1);
-    }
-
-    #[test]
-    fn steps_are_split_only_where_photographs_are_reduced() {
-        let config = ResolutionConfig { whole_share: 0.1, ..ResolutionConfig::default() };
-        assert_eq!(config.steps(300, 1), [0, 300]);
-        assert_eq!(config.steps(300, 4), [270, 30]);
-        assert_eq!(ResolutionConfig { whole_share: 1.0, ..config }.steps(7, 2), [0, 7]);
     }
 }

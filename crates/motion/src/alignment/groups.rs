@@ -19,8 +19,8 @@ pub(crate) fn align_groups(input: &MotionInput, dynamic: &Dynamic, groups: &mut 
         Some(steps) => continued(groups, input.previous, steps),
         None => vec![None; groups.found.len()],
     };
-    let now = TrainingView::all_reduced(input.step.now, input.step.reduction);
-    let aligned = align(config, rotate, &now, &dynamic.gaussians, &last, groups);
+    let [_, now] = input.step.reduced;
+    let aligned = align(config, rotate, now, &dynamic.gaussians, &last, groups);
     if config.steps > 0 {
         log.skip("rigid groups that the photographs could not align", groups.found.len() - aligned);
     }
@@ -40,9 +40,8 @@ pub(crate) fn departure_odds(
         return vec![0.0; offsets.len()];
     }
     let start = Instant::now();
-    let [before, now] = [input.step.before, input.step.now]
-        .map(|views| TrainingView::all_reduced(views, input.step.reduction));
-    let pairs = before.iter().zip(now.iter());
+    let [before, now] = input.step.reduced;
+    let pairs = before.iter().zip(now);
     let views: Vec<(&TrainingView, &TrainingView)> =
         pairs.filter(|(before, now)| before.mask.count() > 0 && now.mask.count() > 0).collect();
     let pixels = input.config.alignment.pixels;

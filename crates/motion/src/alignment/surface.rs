@@ -37,9 +37,10 @@ pub(crate) fn surface_points(
     let rasterizer = CpuRasterizer::default();
     let mut tape = RenderTape::default();
     let inside = |pixel: usize| view.mask.data()[pixel] != 0;
-    let top = rasterizer.top_contributors_where(layer, &shown, CONTRIBUTORS, inside, &mut tape);
     rasterizer.render(layer, &shown, &mut tape);
-    let depths = Depths { camera: &view.camera, layer, groups, top };
+    let top = TopContributors::of(&tape, view.camera.size(), CONTRIBUTORS, inside);
+    let depths =
+        Depths { camera: &view.camera, of_gaussians: gaussian_depths(&view.camera, layer), groups, top };
     let mut out: Vec<Vec<SurfacePoint>> = groups.found.iter().map(|_| Vec::new()).collect();
     for pixel in (0..view.mask.data().len()).filter(|&pixel| inside(pixel)) {
         if let Some((gaussian, group, place)) = depths.surface(pixel) {
@@ -62,9 +63,15 @@ fn thinned(points: Vec<SurfacePoint>, most: usize) -> Vec<SurfacePoint> {
 
 struct Depths<'a> {
     camera: &'a Camera,
-    layer: &'a Gaussians,
+    /// Depths (m) of the centres; `None` behind the camera.
+    of_gaussians: Vec<Option<f64>>,
     groups: &'a Groups,
     top: TopContributors,
+}
+
+fn gaussian_depths(camera: &Camera, layer: &Gaussians) -> Vec<Option<f64>> {
+    let depth = |mean: &[f32; 3]| Some(camera.project(DVec3::from(mean.map(f64::from)))?.depth);
+    layer.means.iter().map(depth).collect()
 }
 
 impl Depths<'_> {
@@ -78,9 +85,8 @@ impl Depths<'_> {
         for (&index, &weight) in indices.iter().zip(weights).filter(|(index, _)| **index >= 0) {
             all += weight;
             if self.groups.of[index as usize] == Some(group) {
-                let mean = DVec3::from(self.layer.means[index as usize].map(f64::from));
                 own += weight;
-                depth += f64::from(weight) * self.camera.project(mean)?.depth;
+                depth += f64::from(weight) * self.of_gaussians[index as usize]?;
             }
         }
         // Light that comes from behind the layer belongs to no group.

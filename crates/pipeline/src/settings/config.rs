@@ -115,7 +115,7 @@ impl Config {
             first_frame: FirstFrameConfig { exposures: false, ..defaults.first_frame },
             birth: BirthConfig { iterations: 0, ..defaults.birth },
             disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
-            resolution: ResolutionConfig { splat_px: 0.0, static_splat_px: 0.0, ..defaults.resolution },
+            resolution: ResolutionConfig { splat_px: 0.0, static_splat_px: 0.0 },
             dynamic: DynamicLaneConfig {
                 iterations: 300,
                 natural_step: 0.0,

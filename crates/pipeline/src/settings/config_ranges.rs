@@ -85,7 +85,6 @@ const RANGES: &[(&str, Range)] = &[
     ("birth.opacity_rate", RATE),
     ("birth.sh0_rate", RATE),
     ("birth.sh_rest_rate", RATE),
-    ("resolution.whole_share", SHARE),
     ("dynamic.natural_step", closed(0.0, 1.0)),
     ("dynamic.natural_step_end", DECAYING_RATE),
     ("dynamic.position_rate_px", DECAYING_RATE),

@@ -84,7 +84,7 @@ impl World {
             views: &views,
             before: &before,
             now: &now,
-            reduction: 1,
+            reduced: [&before, &now],
             tracks,
         })
     }
