@@ -1,5 +1,6 @@
 //! A photograph with its camera and mask, and its reduction by whole blocks of pixels.
 
+use crate::kernel::{self, Kernel};
 use crate::{Camera, ImageRgb8, ImageSize, Mask};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -45,21 +46,49 @@ impl ImageRgb8 {
         if size == from {
             return self.clone();
         }
-        let count = (factor * factor) as u32;
-        let mut data = Vec::with_capacity(3 * size.pixels());
-        let mut sums = vec![0u32; 3 * size.width];
-        for rows in self.data().chunks_exact(3 * from.width * factor).take(size.height) {
-            sums.fill(0);
-            for row in rows.chunks_exact(3 * from.width) {
-                for (sum, block) in sums.chunks_exact_mut(3).zip(row.chunks_exact(3 * factor)) {
-                    for pixel in block.chunks_exact(3) {
-                        sum.iter_mut().zip(pixel).for_each(|(sum, &value)| *sum += u32::from(value));
-                    }
+        let mut data = vec![0; 3 * size.pixels()];
+        kernel::dispatch(BlockMeans { rows: self.data(), width: from.width, factor, out: &mut data });
+        Self::new(size, data).expect("three bytes per block")
+    }
+}
+
+/// Means over square blocks of pixels of three bytes.
+struct BlockMeans<'a> {
+    rows: &'a [u8],
+    /// Pixels of a row.
+    width: usize,
+    factor: usize,
+    out: &'a mut [u8],
+}
+
+impl Kernel for BlockMeans<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { rows, width, factor, out } = self;
+        let (stride, count) = (3 * width, (factor * factor) as u32);
+        let mut columns = vec![0u32; stride];
+        let bands = rows.chunks_exact(stride * factor);
+        for (rows, out) in bands.zip(out.chunks_exact_mut(3 * (width / factor))) {
+            columns.fill(0);
+            for row in rows.chunks_exact(stride) {
+                for i in 0..stride {
+                    columns[i] += u32::from(row[i]);
                 }
             }
-            data.extend(sums.iter().map(|sum| ((sum + count / 2) / count) as u8));
+            for (block, mean) in columns.chunks_exact(3 * factor).zip(out.chunks_exact_mut(3)) {
+                let mut sums = [count / 2; 3];
+                for pixel in block.chunks_exact(3) {
+                    for c in 0..3 {
+                        sums[c] += pixel[c];
+                    }
+                }
+                for c in 0..3 {
+                    mean[c] = (sums[c] / count) as u8;
+                }
+            }
         }
-        Self::new(size, data).expect("three bytes per block")
     }
 }
 

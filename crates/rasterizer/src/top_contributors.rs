@@ -92,7 +92,7 @@ pub(crate) struct Heaviest {
     /// Splats that the walk reached.
     walked: Vec<Walked>,
     /// (pixels, count) which of them, and `alpha T`; 0 where empty.
-    best: Vec<(usize, f32)>,
+    best: Vec<(u32, f32)>,
 }
 
 impl Heaviest {
@@ -117,7 +117,9 @@ impl Heaviest {
     /// Those of one pixel with their weights, heaviest first.
     pub(crate) fn of(&self, pixel: usize) -> impl Iterator<Item = (Walked, f32)> {
         let best = &self.best[pixel * self.count..(pixel + 1) * self.count];
-        best.iter().take_while(|(_, weight)| *weight > 0.0).map(|&(n, weight)| (self.walked[n], weight))
+        best.iter()
+            .take_while(|(_, weight)| *weight > 0.0)
+            .map(|&(n, weight)| (self.walked[n as usize], weight))
     }
 }
 
@@ -152,7 +154,7 @@ impl<S: Simd> Visitor<S> for Heaviest {
         simd.partial_store_f32s(&mut weights[..S::F32_LANES], c.weight);
         for (lane, &weight) in weights[..S::F32_LANES].iter().enumerate().filter(|(_, w)| **w > 0.0) {
             let pixel = c.vector * S::F32_LANES + lane;
-            let candidate = (self.walked.len() - 1, weight);
+            let candidate = (self.walked.len() as u32 - 1, weight);
             insert(&mut self.best[pixel * self.count..(pixel + 1) * self.count], candidate);
         }
     }
@@ -166,7 +168,7 @@ impl<S: Simd> Visitor<S> for Heaviest {
 }
 
 /// Keeps a descending list; of equal weights the one in front stays first.
-fn insert(list: &mut [(usize, f32)], candidate: (usize, f32)) {
+fn insert(list: &mut [(u32, f32)], candidate: (u32, f32)) {
     // Most of what comes after a list is full weighs less than all of it.
     let Some(mut place) = list.len().checked_sub(1).filter(|&last| list[last].1 < candidate.1) else {
         return;

@@ -91,7 +91,7 @@ impl Reconstructor<'_> {
                 let start = FrameStart { frame, dynamic_lane, prior, views, coarse, left_out: &left_out.all };
                 self.train_lanes(&start, &mut state, log)?;
                 self.train_disoccluded(frame, &mut state, &now, log)?;
-                self.remove_denied(frame, &mut state, &left_out.denied);
+                self.remove_denied(frame, &mut state, &left_out.denied, log);
                 learn(&mut state.scene, known.as_ref(), coarse, log);
             }
             Finetuning::Done => {}

@@ -32,20 +32,23 @@ impl Reconstructor<'_> {
         if marking.covering_alpha > 0.0 && self.method.births() && !moving.is_empty() {
             let shown = shown(marking, moving, now);
             let denied = denied(marking, scene, now, &shown);
-            left_out = LeftOut { all: union(&covered(marking, scene, now, &shown)?, &denied), denied };
+            let covered = covered(marking, scene, now, &shown)?;
+            log.skip("static Gaussians not drawn as what moves covers them", covered.len());
+            log.skip("static Gaussians not drawn as they stand before what moves", denied.len());
+            left_out = LeftOut { all: union(&covered, &denied), denied };
         }
         log.since(stage::VALIDATION, start);
         Ok(left_out)
     }
 
     /// In the rounds in which the static layer may change its shape, those that stand before what moves stay out for good.
-    pub(crate) fn remove_denied(&self, frame: usize, state: &mut State, denied: &[u32]) {
+    pub(crate) fn remove_denied(&self, frame: usize, state: &mut State, denied: &[u32], log: &mut StageLog) {
         if denied.is_empty() || !frame.is_multiple_of(self.config.disocclusion.every) {
             return;
         }
         let places: Vec<usize> = denied.iter().map(|&i| i as usize).collect();
         state.scene.keep(&places);
         state.static_lane.forget();
-        tracing::debug!("frame {frame}: {} static Gaussians hid what moves and are gone", denied.len());
+        log.change("stood before what moves", denied.len());
     }
 }

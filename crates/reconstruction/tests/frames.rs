@@ -108,6 +108,9 @@ fn what_stands_before_a_thing_that_is_seen_is_left_out_and_goes_in_a_round() {
         let opacities = |state: &State| [0, 1].map(|i| sigmoid(state.scene.static_layer.opacity_logits[i]));
         assert!(opacities(&state)[0] < 1e-3, "frame {frame}: it is not drawn");
         assert_eq!(opacities(&state)[1], 0.5, "frame {frame}: the other one is");
+        let told = log.skips.iter().filter(|(what, _)| what.contains("before what moves"));
+        assert_eq!(told.map(|(_, count)| *count).sum::<u64>(), 1, "frame {frame}: {:?}", log.skips);
+        assert_eq!(log.changes.contains_key("stood before what moves"), gone, "frame {frame}");
         state.scene.take_back();
         assert_eq!(opacities(&state)[0] < 1e-3, gone, "frame {frame}");
     }
