@@ -19,7 +19,7 @@ pub(crate) struct FrameStart<'a> {
     pub prior: Option<Prior<'a>>,
     /// Photographs of the frame.
     pub views: &'a [TrainingView],
-    /// The same for the moving layer.
+    /// The same, reduced for the moving layer.
     pub coarse: &'a Reduced<'a>,
     /// Static Gaussians that what moves covers or that stand before it, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
     /// lane keeps them, as its linear system has to stay the same from frame to frame.

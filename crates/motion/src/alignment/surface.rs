@@ -69,6 +69,7 @@ struct Depths<'a> {
     top: TopContributors,
 }
 
+/// Depth (m) of the centre of every Gaussian; `None` behind the camera.
 fn gaussian_depths(camera: &Camera, layer: &Gaussians) -> Vec<Option<f64>> {
     let depth = |mean: &[f32; 3]| Some(camera.project(DVec3::from(mean.map(f64::from)))?.depth);
     layer.means.iter().map(depth).collect()
