@@ -181,6 +181,24 @@ mod tests {
     }
 
     #[test]
+    fn reduced_photographs_show_what_enters_too() {
+        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
+        let mut both = old.clone();
+        both.extend(&new);
+        let views = TrainingView::all_reduced(&photographs(&both), 2).into_owned();
+        let mut scene = scene(&old);
+        let before = open_pixels(&scene, &views);
+        let count = born(&mut scene, &views);
+        assert!(before > 125 && count > 75, "{before} pixels, {count} born");
+        let after = open_pixels(&scene, &views);
+        assert!(after * 5 < before, "{before} unexplained pixels, then {after}");
+        let near = |p: &DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
+        let places = scene.dynamic.gaussians.positions();
+        let right = places[old.len()..].iter().filter(|p| near(p)).count();
+        assert!(right * 10 > count * 8, "{right} of {count} are near the surface");
+    }
+
+    #[test]
     fn nothing_is_born_where_all_is_explained_or_where_one_mask_alone_errs() {
         let only = ball(Vec3::ZERO);
         let mut views = photographs(&only);
