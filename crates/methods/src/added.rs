@@ -135,7 +135,7 @@ impl<'a, 'v> Added<'a, 'v> {
             rates: &|iteration| config.rates(iteration + 1, extent),
             ..Schedule::default()
         };
-        schedule.run(&mut self, views, |_, _| Ok(()), &mut |_| ())
+        schedule.run(&mut self, views, |_, _| Ok(()), &mut |_| ()).map(drop)
     }
 
     /// Splits and removes copies.

@@ -62,7 +62,7 @@ impl<'a> Devices<'a> {
         })
     }
 
-    /// The moving Gaussians.
+    /// The moving Gaussians; says in how many steps.
     pub(crate) fn dynamic(
         self,
         config: &DynamicLaneConfig,
@@ -71,12 +71,11 @@ impl<'a> Devices<'a> {
         layer: &mut Gaussians,
         seed: u64,
         report: Report,
-    ) -> Result<()> {
-        match self.gpu(0) {
+    ) -> Result<usize> {
+        Ok(match self.gpu(0) {
             None => train_dynamic(&CpuBackend, config, views, around, layer, seed, report)?,
             Some(gpu) => train_dynamic(&GpuBackend(gpu), config, views, around, layer, seed, report)?,
-        }
-        Ok(())
+        })
     }
 
     /// The static layer's colours.

@@ -1,4 +1,4 @@
-//! A layer under training on the device: one submission per step, nothing is read back.
+//! A layer under training on the device: one submission per step, which reads nothing back.
 
 use crate::optimiser::Optimiser;
 use crate::prior::GpuPrior;
@@ -12,7 +12,7 @@ use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
 use ffgs_trainer::{
     Around, Columns, GradientSums, IndexMap, LayerTask, LayerTraining, LearningRates, Progress, Revision,
-    SKY_DOUBT, TaskView, Training,
+    SKY_DOUBT, TaskView, Training, mean_pixels,
 };
 use std::sync::Arc;
 
@@ -23,7 +23,9 @@ pub struct GpuLayer<'a> {
     columns: Columns,
     targets: Vec<Target>,
     around: Surroundings<'a>,
-    prior: Option<GpuPrior>,
+    prior: Option<GpuPrior<'a>>,
+    /// Mean over views of the pixels that count.
+    mean_pixels: usize,
     workspace: Workspace<'a>,
     optimiser: Optimiser<'a>,
     /// Number of the step; a Gaussian's gradient with another stamp is stale.
@@ -57,7 +59,7 @@ impl<'a> GpuLayer<'a> {
             }
         };
         let prior = match prior {
-            Some(prior) => Some(GpuPrior::new(gpu, &prior, &optimiser.scene, seen)?),
+            Some(prior) => Some(GpuPrior::new(gpu, prior, &optimiser.scene, seen)?),
             None => None,
         };
         let mut training = Self {
@@ -69,6 +71,7 @@ impl<'a> GpuLayer<'a> {
             targets,
             workspace,
             optimiser,
+            mean_pixels: mean_pixels(&views),
             stamp: 0,
             at: 0,
             commands: None,
@@ -183,6 +186,12 @@ impl Training for GpuLayer<'_> {
 
     fn step_naturally(&mut self, share: f32, rates: &LearningRates) -> Result<(), GpuError> {
         self.descend(Some(share), rates)
+    }
+
+    /// Decided on the host: a few times in a training, 60 bytes per Gaussian.
+    fn expected_gain(&mut self) -> Result<Option<f64>, GpuError> {
+        let Self { prior: Some(prior), optimiser, .. } = self else { return Ok(None) };
+        prior.expected_gain(optimiser, self.mean_pixels)
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {

@@ -16,7 +16,7 @@ const GEOMETRY_WIDTH: usize = size_of::<Geometry>() / 4;
 
 /// Gaussians with their gradients and Adam's moments, all on the device.
 pub(crate) struct Optimiser<'a> {
-    gpu: &'a Gpu,
+    pub(crate) gpu: &'a Gpu,
     pub scene: GpuScene,
     pub gradients: GpuGradients,
     pub first: GpuScene,

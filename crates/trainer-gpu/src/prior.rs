@@ -6,11 +6,14 @@ use crate::optimiser::Optimiser;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
 use ffgs_rasterizer::Information;
-use ffgs_rasterizer_gpu::GpuScene;
-use ffgs_trainer::{Damping, LearningRates, Prior, SSIM_WEIGHT};
+use ffgs_rasterizer_gpu::{Geometry, GpuScene};
+use ffgs_trainer::{Damping, LearningRates, Prior, SSIM_WEIGHT, expected_gain};
 
 /// The prior of a training and where the layer was at its start.
-pub(crate) struct GpuPrior {
+pub(crate) struct GpuPrior<'a> {
+    /// As the host knows it.
+    prior: Prior<'a>,
+    damping: Damping,
     uniform: Buffer,
     natural: Buffer,
     /// Views that see each Gaussian.
@@ -42,9 +45,9 @@ impl Known {
     }
 }
 
-impl GpuPrior {
+impl<'a> GpuPrior<'a> {
     /// `seen` = views that see each Gaussian of `start`.
-    pub(crate) fn new(gpu: &Gpu, prior: &Prior, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, prior: Prior<'a>, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
         let unit = (1.0 - SSIM_WEIGHT as f32) * (prior.noise.sigma * prior.noise.correlated) as f32;
         let damping = Damping::new(prior.curvature);
         let uniform = PriorUniform {
@@ -61,6 +64,8 @@ impl GpuPrior {
             ..PriorUniform::default()
         };
         Ok(Self {
+            prior,
+            damping,
             uniform: gpu.uniform("prior", &uniform)?,
             natural: gpu.uniform("natural step", &NaturalUniform::default())?,
             seen,
@@ -113,6 +118,21 @@ impl GpuPrior {
             ..NaturalUniform::default()
         };
         gpu.write(&self.natural, &[step]);
+    }
+
+    /// What the positions could still gain, as `Training::expected_gain` has it; `pixels` = mean over views of those that count. Waits for
+    /// the device.
+    pub(crate) fn expected_gain(
+        &self,
+        optimiser: &Optimiser,
+        pixels: usize,
+    ) -> Result<Option<f64>, GpuError> {
+        let (gpu, count) = (optimiser.gpu, optimiser.scene.count);
+        let first: Vec<Geometry> = gpu.download(&optimiser.first.geometry, count)?;
+        let first: Vec<[f32; 3]> = first.iter().map(|row| row.mean).collect();
+        let steps: Vec<u32> = optimiser.ledger()?.iter().map(|row| row.steps).collect();
+        let seen: Vec<u32> = gpu.download(&self.seen, count)?;
+        Ok(expected_gain(&first, &steps, self.prior.curvature(self.damping, &seen, pixels)))
     }
 
     /// Records one step along the natural gradient.

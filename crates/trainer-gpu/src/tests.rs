@@ -15,7 +15,7 @@ use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
 use ffgs_trainer::constants::LONGEST;
 use ffgs_trainer::{
     Adam, Columns, Damping, IndexMap, LearningRates, LossRegion, PhotometricLoss, PixelNoise, Prior,
-    TaskView, Update,
+    TaskView, Update, expected_gain,
 };
 use glam::DMat3;
 use scene::{SIZE, SKY, blob, information, joint, perturbed, photographs, render, world};
@@ -106,7 +106,7 @@ fn natural_steps_agree() {
     let scene = GpuScene::upload(&gpu, &expected).unwrap();
     let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
     let on_device =
-        GpuPrior::new(&gpu, &prior, &optimiser.scene, gpu.upload("views", &seen).unwrap()).unwrap();
+        GpuPrior::new(&gpu, prior, &optimiser.scene, gpu.upload("views", &seen).unwrap()).unwrap();
     let view = &world().views[0];
     let region = half(13);
     let selection = Selection { region: Some(&region), tiles: None, layers: None };
@@ -132,6 +132,9 @@ fn natural_steps_agree() {
         gpu.submit(commands).unwrap();
     }
     assert!(limited > 5 && free > 50, "{limited} steps were limited, {free} were not");
+    let gain = on_device.expected_gain(&optimiser, region.count()).unwrap().unwrap();
+    let on_host = expected_gain(&adam.first_moments().means, adam.steps(), curvature).unwrap();
+    assert!((gain / on_host - 1.0).abs() < 1e-4, "{gain}, {on_host} on the host");
     let found = optimiser.download().unwrap();
     let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-5 * (1.0 + b.abs()));
     assert!(close(found.means.as_flattened(), expected.means.as_flattened()));
@@ -217,7 +220,7 @@ fn the_pull_of_the_prior_agrees() {
     let optimiser = Optimiser::new(&gpu, GpuScene::upload(&gpu, &now).unwrap(), Columns::ALL).unwrap();
     let on_device = GpuPrior::new(
         &gpu,
-        &prior,
+        prior,
         &GpuScene::upload(&gpu, &start).unwrap(),
         gpu.upload("views", &seen).unwrap(),
     );

@@ -32,7 +32,7 @@ impl World {
         around: Surroundings,
         layer: &mut Gaussians,
     ) -> Result<(), B::Error> {
-        train_dynamic(backend, config, &self.views, around, layer, 9, &mut |_| {})
+        train_dynamic(backend, config, &self.views, around, layer, 9, &mut |_| {}).map(drop)
     }
 
     fn quality(&self, moving: &Gaussians) -> f64 {

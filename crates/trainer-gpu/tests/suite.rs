@@ -16,6 +16,7 @@ backend_suite! {
     a_step_of_the_dynamic_lane_goes_against_the_slope_of_the_loss,
     the_dynamic_lane_brings_a_disturbed_layer_back,
     natural_steps_lead_to_the_true_places,
+    what_has_settled_takes_fewer_steps,
     both_methods_of_the_static_lane_restore_colours,
     the_sky_lane_restores_texels,
     the_first_frame_comes_nearer_to_the_photographs,

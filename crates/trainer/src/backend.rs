@@ -67,6 +67,15 @@ pub trait Training {
         self.step(rates)
     }
 
+    /// What the positions alone could still gain by natural steps (nats; mean over the Gaussians that steps have moved): half the
+    /// squared Newton decrement (Boyd and Vandenberghe 2004, section 9.5). `None` where there is no prior to expect it by.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn expected_gain(&mut self) -> Result<Option<f64>, Self::Error> {
+        Ok(None)
+    }
+
     /// How far the training has come after `done` steps of `all`; `None` where a look at the device would cost more than
     /// it is worth.
     ///
@@ -174,10 +183,20 @@ pub struct TaskView<'a> {
 }
 
 impl<'a> TaskView<'a> {
+    /// Pixels of the loss.
+    pub fn pixels(&self) -> usize {
+        self.region.as_ref().map_or(self.view.camera.size().pixels(), Mask::count)
+    }
+
     /// A view of which the pixels of `region` count.
     pub(crate) fn of_region(view: &'a TrainingView, region: Mask) -> Self {
         Self { view, region: Some(region), tiles: None }
     }
+}
+
+/// Mean over views of the pixels that count.
+pub fn mean_pixels(views: &[TaskView]) -> usize {
+    views.iter().map(TaskView::pixels).sum::<usize>() / views.len().max(1)
 }
 
 /// What stands around a layer under training.

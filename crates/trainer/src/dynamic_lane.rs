@@ -20,8 +20,11 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicLaneConfig {
-    /// Steps per frame, one view each (N_dyn).
+    /// Steps per frame, one view each (N_dyn); fewer once the layer has settled.
     pub iterations: usize,
+    /// Of the steps that are left every other one is taken as soon as moving the Gaussians promises less than this (nats per Gaussian,
+    /// by the last derivatives and the information; natural steps only); 0 = all steps are taken.
+    pub settled: f64,
     /// Share of the way to the minimum that a step goes along the natural gradient, at the first step; 0 = steps of Adam, of
     /// which about three times as many are needed. The rates below then limit each step to three times their values.
     pub natural_step: f32,
@@ -57,6 +60,7 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 100,
+            settled: 0.02,
             natural_step: 0.2,
             natural_step_end: 0.03,
             position_rate_px: 0.2,
@@ -110,8 +114,8 @@ pub struct Surroundings<'a> {
     pub prior: Option<Prior<'a>>,
 }
 
-/// Finetunes `dynamic` on the foreground of `views`. Views without foreground are not used; with none left, or no
-/// Gaussians, nothing changes.
+/// Finetunes `dynamic` on the foreground of `views`, and says in how many steps. Views without foreground are not used; with none
+/// left, or no Gaussians, nothing changes.
 ///
 /// # Errors
 /// When the device fails or has too little memory; `dynamic` is then as it was.
@@ -123,11 +127,11 @@ pub fn train_dynamic<B: TrainBackend>(
     dynamic: &mut Gaussians,
     seed: u64,
     report: &mut dyn FnMut(Progress),
-) -> Result<(), B::Error> {
+) -> Result<usize, B::Error> {
     let views: Vec<TaskView> =
         views.iter().filter(|v| v.mask.count() > 0).map(|v| task_view(config, v)).collect();
     if dynamic.is_empty() || config.iterations == 0 || views.is_empty() {
-        return Ok(());
+        return Ok(0);
     }
     let pixel = pixel_length(dynamic, views.iter().map(|v| &v.view.camera));
     let mut layer = Arc::new(std::mem::take(dynamic));
@@ -141,6 +145,7 @@ pub fn train_dynamic<B: TrainBackend>(
         iterations: config.iterations,
         rates: &|iteration| config.rates(iteration, pixel),
         natural: &|iteration| config.natural_step(iteration),
+        settled: config.settled,
         ..Schedule::default()
     };
     let trained = train_layer(backend, task, &schedule, seed, report);

@@ -4,7 +4,7 @@ use crate::backend::{LayerTask, LayerTraining, TrainBackend};
 use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 
-/// Trains `task`, without density control; `seed` fixes the order of its views.
+/// Trains `task`, without density control; `seed` fixes the order of its views. Says how many steps were taken.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -14,13 +14,13 @@ pub fn train_layer<B: TrainBackend>(
     schedule: &Schedule,
     seed: u64,
     report: &mut dyn FnMut(Progress),
-) -> Result<(), B::Error> {
+) -> Result<usize, B::Error> {
     let views = task.views.len();
     let mut training = backend.upload_layer(task)?;
     loop {
-        schedule.run(&mut training, &mut Epochs::new(views, seed), |_, _| Ok(()), report)?;
+        let steps = schedule.run(&mut training, &mut Epochs::new(views, seed), |_, _| Ok(()), report)?;
         if !training.must_repeat()? {
-            return training.download();
+            return training.download().map(|()| steps);
         }
     }
 }

@@ -31,7 +31,7 @@ mod view;
 pub use adam::{Adam, AdamVec, Columns, LearningRates, Update, bias_corrections};
 pub use backend::{
     Around, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView, TrainBackend,
-    Training,
+    Training, mean_pixels,
 };
 pub use background::{BackgroundConfig, StaticMethod};
 pub use birth::{BirthConfig, Newborn, train_newborn, unexplained};
@@ -48,7 +48,7 @@ pub use initialise::{INITIAL_OPACITY, from_points};
 pub use layer_lane::train_layer;
 pub use lengths::{TILE_DILATION, pixel_length, robust_extent};
 pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
-pub use natural::{Curvature, Damping};
+pub use natural::{Curvature, Damping, expected_gain};
 pub use prior::{Drift, KINDS, Kind, Prior};
 pub use resolution::ResolutionConfig;
 pub use schedule::{Epochs, Schedule, decay};

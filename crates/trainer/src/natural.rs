@@ -68,6 +68,11 @@ pub struct Curvature<'a> {
 }
 
 impl Adam {
+    /// What the mean derivatives of the positions promise, [`Training::expected_gain`](crate::Training::expected_gain).
+    pub(crate) fn expected_gain(&self, curvature: Curvature) -> Option<f64> {
+        expected_gain(&self.first_moments().means, self.steps(), curvature)
+    }
+
     /// One step of the `touched` Gaussians: the first moment over the curvature, times `share`. No value changes by more
     /// than [`LONGEST`] of its rate.
     ///
@@ -125,6 +130,23 @@ impl Adam {
             }
         });
     }
+}
+
+/// [`Training::expected_gain`](crate::Training::expected_gain) from the first moments of the positions (N, 3) after so many steps of each
+/// (N), where `curvature` is that of a view with the mean number of pixels. `None` before the first step.
+pub fn expected_gain(first: &[[f32; 3]], steps: &[u32], curvature: Curvature) -> Option<f64> {
+    let Curvature { information, damping, views, unit } = curvature;
+    let damping = DMat3::from_diagonal(DVec3::splat(damping.means.into()));
+    let moved = (0..first.len()).filter(|&i| steps[i] > 0);
+    let gains = moved.map(|i| {
+        let corrected = 1.0 - f64::from(BETA1).powi(steps[i] as i32);
+        let nats =
+            DVec3::from(first[i].map(f64::from)) * f64::from(views[i].max(1)) / (corrected * f64::from(unit));
+        0.5 * nats.dot((information.positions[i] + damping).inverse() * nats)
+    });
+    let (sum, count) =
+        gains.filter(|gain| gain.is_finite()).fold((0.0, 0), |(sum, n), gain| (sum + gain, n + 1));
+    (count > 0).then(|| sum / f64::from(count))
 }
 
 /// The first moment after one more derivative.

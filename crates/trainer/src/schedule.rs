@@ -41,7 +41,7 @@ pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
 
 /// How often and how far a training steps.
 pub struct Schedule<'a> {
-    /// Steps, one view each.
+    /// Steps, one view each; fewer where the training [settles](Self::settled).
     pub iterations: usize,
     /// SH degree of the colours at a step; `None` = the Gaussians' own.
     pub sh_degree: &'a dyn Fn(usize) -> Option<usize>,
@@ -53,7 +53,14 @@ pub struct Schedule<'a> {
     pub rates: &'a dyn Fn(usize) -> LearningRates,
     /// Share of the natural step at a step; 0 = a step of Adam.
     pub natural: &'a dyn Fn(usize) -> f32,
+    /// [`Training::expected_gain`] (nats) of natural steps below which every other of those that are left is enough; 0 = never.
+    pub settled: f64,
 }
+
+/// Steps between two looks at what can still be gained.
+const LOOK: usize = 10;
+/// How many times as fast a settled training goes through the rest of its schedule.
+const SETTLED_PACE: usize = 2;
 
 impl Default for Schedule<'_> {
     /// No steps; with all SH coefficients, and without dropout.
@@ -65,6 +72,7 @@ impl Default for Schedule<'_> {
             at_centres: false,
             rates: &|_| LearningRates::default(),
             natural: &|_| 0.0,
+            settled: 0.0,
         }
     }
 }
@@ -80,7 +88,8 @@ impl Schedule<'_> {
         }
     }
 
-    /// Takes the steps, over `views`. `after` is called with the number of steps done, for what comes between two of them.
+    /// Takes the steps, over `views`, and says how many. `after` is called with the place in the schedule, for what comes between two of
+    /// them.
     ///
     /// # Errors
     /// When the device fails, or `after` does.
@@ -90,8 +99,9 @@ impl Schedule<'_> {
         views: &mut Epochs,
         mut after: impl FnMut(usize, &mut T) -> Result<(), T::Error>,
         report: &mut dyn FnMut(Progress),
-    ) -> Result<(), T::Error> {
-        for iteration in 0..self.iterations {
+    ) -> Result<usize, T::Error> {
+        let (mut iteration, mut pace, mut steps) = (0, 1, 0_usize);
+        while iteration < self.iterations {
             let Some(view) = views.draw() else { break };
             training.forward(view, self.options(iteration))?;
             training.backward()?;
@@ -101,16 +111,89 @@ impl Schedule<'_> {
             } else {
                 training.step(&rates)?;
             }
-            after(iteration + 1, training)?;
-            training.progress(iteration + 1, self.iterations)?.into_iter().for_each(&mut *report);
+            steps += 1;
+            iteration = (iteration + pace).min(self.iterations);
+            after(iteration, training)?;
+            training.progress(iteration, self.iterations)?.into_iter().for_each(&mut *report);
+            if pace == 1 && self.has_settled((steps, share), training)? {
+                pace = SETTLED_PACE;
+            }
         }
-        Ok(())
+        Ok(steps)
+    }
+
+    /// Whether natural steps, the last with this `share`, hardly pay any more. It is asked after every step, and looks after some.
+    fn has_settled<T: Training>(
+        &self,
+        (steps, share): (usize, f32),
+        training: &mut T,
+    ) -> Result<bool, T::Error> {
+        if self.settled == 0.0 || share == 0.0 || !steps.is_multiple_of(LOOK) {
+            return Ok(false);
+        }
+        Ok(training.expected_gain()?.is_some_and(|gain| gain < self.settled))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Counts its steps, and expects less from one step to the next.
+    #[derive(Default)]
+    struct Declining {
+        steps: usize,
+        shares: Vec<f32>,
+    }
+
+    impl Training for Declining {
+        type Error = std::convert::Infallible;
+
+        fn forward(&mut self, _: usize, _: RenderOptions) -> Result<(), Self::Error> {
+            self.steps += 1;
+            Ok(())
+        }
+
+        fn backward(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+
+        fn step(&mut self, _: &LearningRates) -> Result<(), Self::Error> {
+            unreachable!("all steps are natural")
+        }
+
+        fn step_naturally(&mut self, share: f32, _: &LearningRates) -> Result<(), Self::Error> {
+            self.shares.push(share);
+            Ok(())
+        }
+
+        fn expected_gain(&mut self) -> Result<Option<f64>, Self::Error> {
+            Ok(Some(1.0 / self.steps as f64))
+        }
+    }
+
+    #[test]
+    fn a_settled_training_takes_every_other_step() {
+        let share = |iteration: usize| 1.0 / (1.0 + iteration as f32);
+        let taken = |iterations: usize, settled: f64| {
+            let mut training = Declining::default();
+            let mut places = Vec::new();
+            let schedule = Schedule { iterations, natural: &share, settled, ..Schedule::default() };
+            let note = |place: usize, _: &mut Declining| {
+                places.push(place);
+                Ok(())
+            };
+            let Ok(steps) = schedule.run(&mut training, &mut Epochs::new(3, 1), note, &mut |_| ());
+            assert_eq!((steps, steps), (training.steps, places.len()));
+            assert_eq!(places.last(), Some(&iterations), "it ends where it should");
+            (steps, training.shares[steps - 1])
+        };
+        assert_eq!(taken(100, 0.0), (100, share(99)));
+        assert_eq!(taken(100, 0.01), (100, share(99)), "it never settles");
+        // Less than 1 / 15 is expected after 20 steps.
+        assert_eq!(taken(100, 1.0 / 15.0), (60, share(98)));
+        assert_eq!(taken(33, 1.0 / 15.0), (27, share(32)));
+    }
 
     #[test]
     fn an_epoch_visits_every_item_once() {

@@ -2,7 +2,7 @@
 
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::Information;
-use ffgs_trainer::{Adam, Damping, LearningRates, PixelNoise, Prior};
+use ffgs_trainer::{Adam, Damping, LearningRates, PixelNoise, Prior, expected_gain};
 use glam::{DMat3, DQuat, DVec3};
 
 const PIXELS: usize = 100;
@@ -73,6 +73,31 @@ fn a_whole_step_ends_at_the_minimum_that_the_information_predicts() {
     assert!(close(&now.log_scales[0], &goal.log_scales[0]) && close(&now.opacity_logits[..1], &[1.5]));
     assert!(close(now.sh[..4].as_flattened(), goal.sh[..4].as_flattened()));
     assert!(now.select(&[1]) == start().select(&[1]), "not touched");
+}
+
+/// Where the loss is a parabola, half the squared Newton decrement is what lies between here and the minimum.
+#[test]
+fn the_expected_gain_is_the_way_down_to_the_minimum() {
+    let (information, mut goal) = (known(), start());
+    goal.means = vec![[0.1, 0.5, -0.3], [9.0, 9.0, 9.0]];
+    let prior = prior(&information);
+    let gradient = prior.pull(&goal, vec![3; 2], &start(), PIXELS, &[true; 2]);
+    let curvature = prior.curvature(Damping::default(), &[3; 2], PIXELS);
+    let gain = |adam: &Adam| expected_gain(&adam.first_moments().means, adam.steps(), curvature);
+    let mut adam = Adam::new(2, 1);
+    assert_eq!(gain(&adam), None, "no step was taken");
+    // The second Gaussian was never seen: it does not count.
+    for _ in 0..3 {
+        adam.step_naturally(&mut start(), &gradient, (1.0, &FAR), curvature, &[true, false]);
+    }
+    let way = DVec3::new(0.3, -0.7, 0.6);
+    let want = 0.5 * way.dot(information.positions[0] * way);
+    assert!((gain(&adam).unwrap() / want - 1.0).abs() < 1e-4, "{:?}, {want}", gain(&adam));
+    let damped = prior.curvature(Damping { means: 1e6, ..Damping::default() }, &[3; 2], PIXELS);
+    let damped = expected_gain(&adam.first_moments().means, adam.steps(), damped).unwrap();
+    assert!(damped < 1e-2 * want, "{damped}");
+    let broken = [[f32::NAN; 3]; 2];
+    assert_eq!(expected_gain(&broken, adam.steps(), curvature), None, "not a number");
 }
 
 /// What nothing is known of gets no derivative of infinite worth, and no step is longer than three rates.

@@ -62,7 +62,7 @@ impl<'a, 'b, 'v> Frame<'a, 'b, 'v> {
             rates: &|iteration| LearningRates::with_means(rate(iteration)),
             ..Schedule::default()
         };
-        schedule.run(&mut self, &mut view_order(step), |_, _| Ok(()), &mut |_| ())
+        schedule.run(&mut self, &mut view_order(step), |_, _| Ok(()), &mut |_| ()).map(drop)
     }
 
     /// Adds Gaussians, and removes added ones.

@@ -9,8 +9,9 @@ use glam::Vec3;
 
 fn short(iterations: usize) -> Trackersplat<'static> {
     let config = TrackersplatConfig { iterations, ..TrackersplatConfig::default() };
-    let train: Box<TrainLayer> =
-        Box::new(|task, schedule, seed| Ok(train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?));
+    let train: Box<TrainLayer> = Box::new(|task, schedule, seed| {
+        Ok(train_layer(&CpuBackend, task, schedule, seed, &mut |_| {}).map(drop)?)
+    });
     Trackersplat { config, voronoi: VoronoiConfig::default(), train }
 }
 

@@ -83,7 +83,7 @@ fn trackersplat<'a>(context: &MethodContext<'a>, _: &str) -> Result<Box<dyn Moti
         match gpu {
             None => train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?,
             Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, seed, &mut |_| {})?,
-        }
+        };
         Ok(())
     });
     let config = context.config.method.trackersplat;

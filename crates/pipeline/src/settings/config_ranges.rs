@@ -85,6 +85,7 @@ const RANGES: &[(&str, Range)] = &[
     ("birth.opacity_rate", RATE),
     ("birth.sh0_rate", RATE),
     ("birth.sh_rest_rate", RATE),
+    ("dynamic.settled", NOT_NEGATIVE),
     ("dynamic.natural_step", closed(0.0, 1.0)),
     ("dynamic.natural_step_end", DECAYING_RATE),
     ("dynamic.position_rate_px", DECAYING_RATE),

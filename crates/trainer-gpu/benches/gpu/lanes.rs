@@ -35,7 +35,7 @@ pub(crate) fn dynamic(device: &SceneDevice, percent: u32, rows: &mut Rows) -> Re
     rows.add(&format!("gpu/dynamic_lane/{percent}%"), seconds, None);
     let seconds = rows.time(|| {
         let mut layer = moving.clone();
-        let Ok(()) = train_dynamic(&CpuBackend, &config, &views, around, &mut layer, 1, &mut |_| {});
+        let Ok(_) = train_dynamic(&CpuBackend, &config, &views, around, &mut layer, 1, &mut |_| {});
     });
     rows.add(&format!("cpu/dynamic_lane/{percent}%"), seconds, None);
     Ok(())

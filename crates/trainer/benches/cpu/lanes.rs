@@ -37,7 +37,7 @@ pub(crate) fn dynamic(c: &mut Criterion) {
                     let mut layer = moving.clone();
                     let run =
                         || train_dynamic(&CpuBackend, &config, &views, around, &mut layer, 1, &mut |_| {});
-                    let Ok(()) = pool.install(run);
+                    let Ok(_) = pool.install(run);
                 });
             });
         }
@@ -92,7 +92,7 @@ pub(crate) fn static_lane(c: &mut Criterion) {
                             &mut |_| {},
                         )
                     };
-                    let Ok(()) = pool.install(run);
+                    let Ok(_) = pool.install(run);
                 });
             });
         }

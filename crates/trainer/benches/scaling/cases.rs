@@ -155,8 +155,7 @@ impl Case {
         let around = Surroundings { static_layer: &still, sky: &sky, prior: None };
         memory::restart_peak();
         let mut clock = Clock::start();
-        let Ok(()) =
-            train_dynamic(&CpuBackend, &config, views, around, &mut moving, 1, &mut |_| clock.tick());
+        let Ok(_) = train_dynamic(&CpuBackend, &config, views, around, &mut moving, 1, &mut |_| clock.tick());
         let peak = memory::peak();
         let tiles = TileMask::covering(&mask.dilated(TILE_DILATION));
         (clock, peak, held::dynamic(&moving, &still, self.size, &tiles, views.len()) as f64)

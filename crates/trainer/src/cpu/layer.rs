@@ -2,13 +2,13 @@
 
 use super::around::{Surrounding, TrainedSky};
 use super::cut::Cut;
-use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training};
+use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training, mean_pixels};
 use crate::background::SkyBehind;
 use crate::density_control::GradientSums;
 use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
-use ffgs_core::{Gaussians, ImageSize, Mask, PlanarImage, TrainingView};
+use ffgs_core::{Gaussians, ImageSize, PlanarImage};
 use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -70,8 +70,7 @@ impl<'a> CpuLayer<'a> {
         let gradient = &self.gradients.gaussians;
         match (natural, &self.penalty) {
             (Some(share), Some(penalty)) => {
-                let TaskView { view, region, .. } = &self.views[self.at];
-                let curvature = penalty.curvature(pixels(view, region.as_ref()));
+                let curvature = penalty.curvature(self.views[self.at].pixels());
                 self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
             }
             _ => self.adam.step(self.layer, gradient, rates, Update::Touched(touched)),
@@ -81,11 +80,6 @@ impl<'a> CpuLayer<'a> {
             sums.add(&self.gradients.mean2d_norm, touched);
         }
     }
-}
-
-/// Pixels of a loss.
-fn pixels(view: &TrainingView, region: Option<&Mask>) -> usize {
-    region.map_or(view.camera.size().pixels(), Mask::count)
 }
 
 impl Training for CpuLayer<'_> {
@@ -107,14 +101,14 @@ impl Training for CpuLayer<'_> {
     }
 
     fn backward(&mut self) -> Result<(), Infallible> {
-        let TaskView { view, region, tiles } = &self.views[self.at];
+        let TaskView { view, tiles, .. } = &self.views[self.at];
         self.gradients.reset(self.layer.len(), self.layer.sh_degree());
         let upstream = self.around.upstream(self.at, &mut self.pixel_gradient);
         let background = Background::Image(self.around.behind());
         let frame = View { camera: &view.camera, background, tiles: tiles.as_ref() };
         self.rasterizer.backward(self.layer, &frame, &mut self.tape, &upstream, &mut self.gradients);
         if let Some(penalty) = &self.penalty {
-            penalty.add(self.layer, pixels(view, region.as_ref()), &mut self.gradients);
+            penalty.add(self.layer, self.views[self.at].pixels(), &mut self.gradients);
         }
         Ok(())
     }
@@ -127,6 +121,11 @@ impl Training for CpuLayer<'_> {
     fn step_naturally(&mut self, share: f32, rates: &LearningRates) -> Result<(), Infallible> {
         self.descend(Some(share), rates);
         Ok(())
+    }
+
+    fn expected_gain(&mut self) -> Result<Option<f64>, Infallible> {
+        let curvature = self.penalty.as_ref().map(|penalty| penalty.curvature(mean_pixels(&self.views)));
+        Ok(curvature.and_then(|curvature| self.adam.expected_gain(curvature)))
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {

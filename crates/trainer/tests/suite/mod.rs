@@ -13,6 +13,8 @@ use ffgs_trainer::{
     information_gain, pixel_length, train_dynamic, train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
 const SIZE: ImageSize = ImageSize { width: 48, height: 36 };
@@ -235,7 +237,8 @@ pub(crate) fn natural_steps_lead_to_the_true_places<B: TrainBackend>(backend: &B
         (world.error(&world.fixed, layer, &world.sky, true), off)
     };
     let after = |natural_step: f32| {
-        let config = DynamicLaneConfig { iterations: 100, natural_step, ..DynamicLaneConfig::default() };
+        let usual = DynamicLaneConfig::default();
+        let config = DynamicLaneConfig { iterations: 100, settled: 0.0, natural_step, ..usual };
         let mut layer = world.disturbed();
         train_dynamic(backend, &config, &world.views, around, &mut layer, SEED, &mut |_| {}).unwrap();
         judged(&layer)
@@ -244,6 +247,41 @@ pub(crate) fn natural_steps_lead_to_the_true_places<B: TrainBackend>(backend: &B
     println!("(error, m off) {before:?}, Adam {adam:?}, natural {natural:?}");
     assert!(natural.0 < 0.25 * before.0 && natural.1 < 0.9 * before.1, "{before:?}, natural {natural:?}");
     assert!(adam.0 < 0.25 * before.0 && adam.1 > before.1, "{before:?}, Adam {adam:?}");
+}
+
+/// The photographs, every value of them up to 12 grey levels off.
+fn noisy(views: &[TrainingView]) -> Vec<TrainingView> {
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut off = |value: &u8| value.saturating_add_signed(rng.random_range(-12..=12));
+    let mut view = |view: &TrainingView| {
+        let data = view.image.data().iter().map(&mut off).collect();
+        TrainingView { image: ImageRgb8::new(view.image.size(), data).unwrap(), ..view.clone() }
+    };
+    views.iter().map(&mut view).collect()
+}
+
+/// A layer that many frames know and that is where it was photographed, but for the noise of the photographs, needs little more than half
+/// of the steps; one that is not takes all.
+pub(crate) fn what_has_settled_takes_fewer_steps<B: TrainBackend>(backend: &B) {
+    let world = world();
+    let views = noisy(&world.views);
+    let Gain { mut information, noise } =
+        information_gain(&[&world.fixed, &world.moving], &world.sky, &views);
+    information.positions.iter_mut().for_each(|of_a_frame| *of_a_frame *= 200.0);
+    let prior = Some(Prior { information: &information, noise, weight: 0.0, curvature: &information });
+    let around = Surroundings { prior, ..world.around() };
+    let steps = |layer: &Gaussians, config: DynamicLaneConfig| {
+        let mut layer = layer.clone();
+        train_dynamic(backend, &config, &views, around, &mut layer, SEED, &mut |_| {}).unwrap()
+    };
+    let usual = DynamicLaneConfig::default();
+    let (settled, off) = (steps(&world.moving, usual), steps(&world.disturbed(), usual));
+    println!("steps in place {settled}, off {off}; {noise:?}");
+    assert!(settled < 7 * usual.iterations / 10, "{settled} steps");
+    assert_eq!(off, usual.iterations);
+    assert_eq!(steps(&world.moving, DynamicLaneConfig { settled: 0.0, ..usual }), usual.iterations);
+    let adam = DynamicLaneConfig { natural_step: 0.0, ..usual };
+    assert_eq!(steps(&world.moving, adam), usual.iterations, "steps of Adam expect nothing");
 }
 
 pub(crate) fn both_methods_of_the_static_lane_restore_colours<B: TrainBackend>(backend: &B) {
