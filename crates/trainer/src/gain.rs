@@ -4,8 +4,11 @@ use crate::background::SkyBehind;
 use crate::lengths::TILE_DILATION;
 use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, TileMask, View};
+use rayon::prelude::*;
 use std::ops::Range;
 
+/// Views that are rendered side by side at most, each with an image of its own; their information is added in order.
+const MAX_AT_ONCE: usize = 8;
 /// Longest distance at which errors of pixels are compared (px).
 const MAX_LAG: usize = 6;
 /// Correlation below which errors count as independent.
@@ -38,23 +41,59 @@ pub struct Gain {
 /// counts less; views without foreground tell nothing.
 pub fn information_gain(layers: &[&Gaussians], sky: &SkyCube, views: &[TrainingView]) -> Gain {
     let rasterizer = CpuRasterizer::default();
-    let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
     let mut information = layers
         .last()
         .map_or_else(Information::default, |layer| Information::none(layer.len(), layer.sh_degree()));
     let mut foreground = Vec::new();
-    for view in views.iter().filter(|view| view.mask.count() > 0) {
-        let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION));
-        let background = Background::Image(behind.render(sky, &view.camera));
-        let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
-        rasterizer.render_layers(layers, &frame, &mut tape);
-        let errors = Errors::new(view, tape.image(), tiles.pixel_runs(view.camera.size()));
-        let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
-        foreground.extend(inside.map(|noise| (noise, view.mask.count())));
-        let weights = errors.weights([outside, inside]);
-        rasterizer.add_information(layers, &frame, &tape, &weights, &mut information);
+    let views: Vec<&TrainingView> = views.iter().filter(|view| view.mask.count() > 0).collect();
+    let at_once = rayon::current_num_threads().min(MAX_AT_ONCE);
+    let mut rendered: Vec<Rendered> = (0..at_once).map(|_| Rendered::new()).collect();
+    for views in views.chunks(at_once) {
+        let pairs = rendered.par_iter_mut().zip(views);
+        pairs.for_each(|(rendered, view)| rendered.render(&rasterizer, layers, sky, view));
+        for (rendered, view) in rendered.iter().zip(views) {
+            foreground.extend(rendered.foreground.map(|noise| (noise, view.mask.count())));
+            let background = Background::Image(rendered.behind.image());
+            let frame = View { camera: &view.camera, background, tiles: rendered.tiles.as_ref() };
+            rasterizer.add_information(layers, &frame, &rendered.tape, &rendered.weights, &mut information);
+        }
     }
     Gain { information, noise: mean_noise(&foreground) }
+}
+
+/// A view as the layers show it, and what its pixels are worth.
+struct Rendered {
+    tape: RenderTape,
+    behind: SkyBehind,
+    tiles: Option<TileMask>,
+    /// Inverse variance of an independent value, pixel by pixel.
+    weights: Vec<f32>,
+    /// Noise inside the mask.
+    foreground: Option<PixelNoise>,
+}
+
+impl Rendered {
+    fn new() -> Self {
+        let (tape, behind) = (RenderTape::default(), SkyBehind::new());
+        Self { tape, behind, tiles: None, weights: Vec::new(), foreground: None }
+    }
+
+    fn render(
+        &mut self,
+        rasterizer: &CpuRasterizer,
+        layers: &[&Gaussians],
+        sky: &SkyCube,
+        view: &TrainingView,
+    ) {
+        let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION));
+        let background = Background::Image(self.behind.render(sky, &view.camera));
+        let frame = View { camera: &view.camera, background, tiles: Some(&tiles) };
+        rasterizer.render_layers(layers, &frame, &mut self.tape);
+        let errors = Errors::new(view, self.tape.image(), tiles.pixel_runs(view.camera.size()));
+        let (outside, inside) = rayon::join(|| errors.noise(0), || errors.noise(1));
+        self.weights = errors.weights([outside, inside]);
+        (self.tiles, self.foreground) = (Some(tiles), inside);
+    }
 }
 
 /// Mean over views, weighted by their foreground.
