@@ -60,7 +60,7 @@ impl Default for DynamicLaneConfig {
     fn default() -> Self {
         Self {
             iterations: 100,
-            settled: 0.02,
+            settled: 0.01,
             natural_step: 0.2,
             natural_step_end: 0.03,
             position_rate_px: 0.2,

@@ -92,7 +92,7 @@ pub(crate) fn static_lane(c: &mut Criterion) {
                             &mut |_| {},
                         )
                     };
-                    let Ok(_) = pool.install(run);
+                    let Ok(()) = pool.install(run);
                 });
             });
         }
