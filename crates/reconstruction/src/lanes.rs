@@ -72,10 +72,9 @@ impl Reconstructor<'_> {
         let (dynamic_s, static_s, sky_s) =
             devices.together(|| timed(train_dynamic), || timed(train_static), || timed(train_sky));
         let (steps, dynamic_s) = dynamic_s?;
-        log.skip(
-            "steps of the dynamic lane that would not have paid",
-            dynamic_lane.iterations.saturating_sub(steps),
-        );
+        if steps > 0 {
+            log.skip("steps of the dynamic lane that would not have paid", dynamic_lane.iterations - steps);
+        }
         log.add_seconds(stage::DYNAMIC, dynamic_s);
         log.add_seconds(stage::STATIC, static_s?.1);
         log.add_seconds(stage::SKY, sky_s?.1);

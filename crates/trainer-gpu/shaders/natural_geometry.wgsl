@@ -7,20 +7,19 @@
 // bench: gpu/prior
 
 @group(0) @binding(0) var<uniform> prior: Prior;
-@group(0) @binding(1) var<uniform> loss: Loss;
-@group(0) @binding(2) var<uniform> natural: Natural;
-@group(0) @binding(3) var<storage, read> ledger: array<Ledger>;
+@group(0) @binding(1) var<uniform> natural: Natural;
+@group(0) @binding(2) var<storage, read> ledger: array<Ledger>;
 // Factors of the two moments by number of steps.
-@group(0) @binding(4) var<storage, read> corrections: array<vec2f>;
+@group(0) @binding(3) var<storage, read> corrections: array<vec2f>;
 // Views that see each Gaussian.
-@group(0) @binding(5) var<storage, read> seen: array<u32>;
+@group(0) @binding(4) var<storage, read> seen: array<u32>;
 // Diagonal: turns about the body's axes in the last three places of `quat`; `mean` is not used.
-@group(0) @binding(6) var<storage, read> known: array<Geometry>;
+@group(0) @binding(5) var<storage, read> known: array<Geometry>;
 // xx, xy, xz, yy; yz, zz of the positions.
-@group(0) @binding(7) var<storage, read> positions: array<array<vec4f, 2>>;
-@group(0) @binding(8) var<storage, read> gradient: array<Geometry>;
-@group(0) @binding(9) var<storage, read_write> now: array<Geometry>;
-@group(0) @binding(10) var<storage, read_write> first: array<Geometry>;
+@group(0) @binding(6) var<storage, read> positions: array<array<vec4f, 2>>;
+@group(0) @binding(7) var<storage, read> gradient: array<Geometry>;
+@group(0) @binding(8) var<storage, read_write> now: array<Geometry>;
+@group(0) @binding(9) var<storage, read_write> first: array<Geometry>;
 
 // Solves `matrix x = b`, symmetric; scaled by the trace, as products of three informations would overflow.
 fn solved(p: array<vec4f, 2>, damping: f32, b: vec3f) -> vec3f {
@@ -45,7 +44,7 @@ fn natural_geometry(
         return;
     }
     let correction = corrections[min(ledger[i].steps, CORRECTED_STEPS)].x;
-    let per_nat = natural.share * correction * f32(max(seen[i], 1u)) / (prior.unit * loss.per_sample);
+    let per_nat = natural.share * correction * f32(max(seen[i], 1u));
     let down = gradient[i];
     var mean = first[i];
     mean.mean += (1.0 - BETA1) * (down.mean - mean.mean);

@@ -24,8 +24,6 @@ pub struct GpuLayer<'a> {
     targets: Vec<Target>,
     around: Surroundings<'a>,
     prior: Option<GpuPrior<'a>>,
-    /// Mean over views of the pixels that count.
-    mean_pixels: usize,
     workspace: Workspace<'a>,
     optimiser: Optimiser<'a>,
     /// Number of the step; a Gaussian's gradient with another stamp is stale.
@@ -59,7 +57,7 @@ impl<'a> GpuLayer<'a> {
             }
         };
         let prior = match prior {
-            Some(prior) => Some(GpuPrior::new(gpu, prior, &optimiser.scene, seen)?),
+            Some(prior) => Some(GpuPrior::new(gpu, prior, &optimiser.scene, (seen, mean_pixels(&views)))?),
             None => None,
         };
         let mut training = Self {
@@ -71,7 +69,6 @@ impl<'a> GpuLayer<'a> {
             targets,
             workspace,
             optimiser,
-            mean_pixels: mean_pixels(&views),
             stamp: 0,
             at: 0,
             commands: None,
@@ -106,7 +103,7 @@ impl<'a> GpuLayer<'a> {
         let target = &targets[self.at];
         if let (Some(share), Some(prior)) = (natural, &self.prior) {
             prior.prepare(workspace.gpu, (share, rates), *stamp, optimiser.fixed);
-            prior.step(&mut commands, target, optimiser);
+            prior.step(&mut commands, optimiser);
         } else {
             optimiser.prepare(rates, *stamp);
             optimiser.step(&mut commands);
@@ -190,8 +187,8 @@ impl Training for GpuLayer<'_> {
 
     /// Decided on the host: a few times in a training, 60 bytes per Gaussian.
     fn expected_gain(&mut self) -> Result<Option<f64>, GpuError> {
-        let Self { prior: Some(prior), optimiser, .. } = self else { return Ok(None) };
-        prior.expected_gain(optimiser, self.mean_pixels)
+        let gain = self.prior.as_ref().map(|prior| prior.expected_gain(&self.optimiser));
+        gain.transpose().map(Option::flatten)
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {

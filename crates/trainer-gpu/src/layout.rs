@@ -53,7 +53,6 @@ pub(crate) struct PriorUniform {
     pub items: u32,
     pub coefficients: u32,
     pub strength: f32,
-    pub unit: f32,
     pub damping_means: f32,
     pub damping_turns: f32,
     pub damping_scales: f32,
@@ -62,6 +61,7 @@ pub(crate) struct PriorUniform {
     pub damping_sh_rest: f32,
     pub padding_a: u32,
     pub padding_b: u32,
+    pub padding_c: u32,
 }
 
 /// `Natural` of `shaders/common/natural.wgsl`.

@@ -14,6 +14,8 @@ pub(crate) struct GpuPrior<'a> {
     /// As the host knows it.
     prior: Prior<'a>,
     damping: Damping,
+    /// Mean over views of the pixels that count.
+    pixels: usize,
     uniform: Buffer,
     natural: Buffer,
     /// Views that see each Gaussian.
@@ -46,15 +48,19 @@ impl Known {
 }
 
 impl<'a> GpuPrior<'a> {
-    /// `seen` = views that see each Gaussian of `start`.
-    pub(crate) fn new(gpu: &Gpu, prior: Prior<'a>, start: &GpuScene, seen: Buffer) -> Result<Self, GpuError> {
+    /// `seen` = views that see each Gaussian of `start`, `pixels` = mean over views of those that count.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        prior: Prior<'a>,
+        start: &GpuScene,
+        (seen, pixels): (Buffer, usize),
+    ) -> Result<Self, GpuError> {
         let unit = (1.0 - SSIM_WEIGHT as f32) * (prior.noise.sigma * prior.noise.correlated) as f32;
         let damping = Damping::new(prior.curvature);
         let uniform = PriorUniform {
             items: start.count as u32,
             coefficients: ffgs_core::sh_coefficients(start.sh_degree) as u32,
             strength: prior.weight * unit,
-            unit,
             damping_means: damping.means,
             damping_turns: damping.turns,
             damping_scales: damping.scales,
@@ -66,6 +72,7 @@ impl<'a> GpuPrior<'a> {
         Ok(Self {
             prior,
             damping,
+            pixels,
             uniform: gpu.uniform("prior", &uniform)?,
             natural: gpu.uniform("natural step", &NaturalUniform::default())?,
             seen,
@@ -105,10 +112,12 @@ impl<'a> GpuPrior<'a> {
     pub(crate) fn prepare(&self, gpu: &Gpu, (share, rates): (f32, &LearningRates), stamp: u32, fixed: usize) {
         let LearningRates { means, quats, scales, opacities, sh0, sh_rest } = *rates;
         let fixed = fixed as u32;
+        // Of the loss of a view with the mean number of pixels, as views are drawn by theirs.
+        let unit = self.prior.curvature(self.damping, &[], self.pixels).unit;
         let step = NaturalUniform {
             stamp,
             fixed,
-            share,
+            share: share / unit,
             means,
             quats,
             scales,
@@ -120,33 +129,28 @@ impl<'a> GpuPrior<'a> {
         gpu.write(&self.natural, &[step]);
     }
 
-    /// What the positions could still gain, as `Training::expected_gain` has it; `pixels` = mean over views of those that count. Waits for
-    /// the device.
-    pub(crate) fn expected_gain(
-        &self,
-        optimiser: &Optimiser,
-        pixels: usize,
-    ) -> Result<Option<f64>, GpuError> {
+    /// What the positions could still gain, as `Training::expected_gain` has it. Waits for the device.
+    pub(crate) fn expected_gain(&self, optimiser: &Optimiser) -> Result<Option<f64>, GpuError> {
         let (gpu, count) = (optimiser.gpu, optimiser.scene.count);
         let first: Vec<Geometry> = gpu.download(&optimiser.first.geometry, count)?;
         let first: Vec<[f32; 3]> = first.iter().map(|row| row.mean).collect();
         let steps: Vec<u32> = optimiser.ledger()?.iter().map(|row| row.steps).collect();
         let seen: Vec<u32> = gpu.download(&self.seen, count)?;
-        Ok(expected_gain(&first, &steps, self.prior.curvature(self.damping, &seen, pixels)))
+        Ok(expected_gain(&first, &steps, self.prior.curvature(self.damping, &seen, self.pixels)))
     }
 
     /// Records one step along the natural gradient.
-    pub(crate) fn step(&self, commands: &mut Commands, target: &Target, optimiser: &Optimiser) {
+    pub(crate) fn step(&self, commands: &mut Commands, optimiser: &Optimiser) {
         let Self { uniform, natural, seen, curvature: Known { positions, others }, .. } = self;
         let Optimiser { scene, gradients, first, .. } = optimiser;
         let ledger = &gradients.ledger;
         let corrections = optimiser.corrections();
-        let [a, b, c, d, e, f] = [uniform, &target.loss, natural, ledger, corrections, seen];
+        let [a, b, c, d, e] = [uniform, natural, ledger, corrections, seen];
         let [known, down, now, mean] = [others, &gradients.scene, scene, first].map(|s| &s.geometry);
-        let geometry = [a, b, c, d, e, f, known, positions, down, now, mean];
+        let geometry = [a, b, c, d, e, known, positions, down, now, mean];
         commands.run(&kernels::NATURAL_GEOMETRY, &geometry, Groups::Items(scene.count));
         let [known, down, now, mean] = [others, &gradients.scene, scene, first].map(|s| &s.sh);
-        let colours = [a, b, c, d, e, f, known, down, now, mean];
+        let colours = [a, b, c, d, e, known, down, now, mean];
         let values = scene.count * 3 * ffgs_core::sh_coefficients(scene.sh_degree);
         commands.run(&kernels::NATURAL_COLOURS, &colours, Groups::Items(values));
     }

@@ -19,7 +19,6 @@ fn host_structs_have_the_layout_of_the_shaders() {
         items,
         coefficients,
         strength,
-        unit,
         damping_means,
         damping_turns,
         damping_scales,
@@ -27,7 +26,8 @@ fn host_structs_have_the_layout_of_the_shaders() {
         damping_sh0,
         damping_sh_rest,
         padding_a,
-        padding_b
+        padding_b,
+        padding_c
     );
     let natural = host_layout!(
         NaturalUniform,

@@ -105,13 +105,10 @@ fn natural_steps_agree() {
     let seen: Vec<u32> = (0..50).map(|i| i % 4).collect();
     let scene = GpuScene::upload(&gpu, &expected).unwrap();
     let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
+    let pixels = 500;
     let on_device =
-        GpuPrior::new(&gpu, prior, &optimiser.scene, gpu.upload("views", &seen).unwrap()).unwrap();
-    let view = &world().views[0];
-    let region = half(13);
-    let selection = Selection { region: Some(&region), tiles: None, layers: None };
-    let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
-    let curvature = prior.curvature(Damping::new(&expecting), &seen, region.count());
+        GpuPrior::new(&gpu, prior, &optimiser.scene, (gpu.upload("views", &seen).unwrap(), pixels)).unwrap();
+    let curvature = prior.curvature(Damping::new(&expecting), &seen, pixels);
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
     let rates = LearningRates::with_means(1e-3);
     let (mut limited, mut free) = (0, 0);
@@ -128,11 +125,11 @@ fn natural_steps_agree() {
         write_step(&gpu, &optimiser, &gradient, (&touched, adam.steps()), step);
         on_device.prepare(&gpu, (0.3, &rates), step, 0);
         let mut commands = gpu.commands();
-        on_device.step(&mut commands, &target, &optimiser);
+        on_device.step(&mut commands, &optimiser);
         gpu.submit(commands).unwrap();
     }
     assert!(limited > 5 && free > 50, "{limited} steps were limited, {free} were not");
-    let gain = on_device.expected_gain(&optimiser, region.count()).unwrap().unwrap();
+    let gain = on_device.expected_gain(&optimiser).unwrap().unwrap();
     let on_host = expected_gain(&adam.first_moments().means, adam.steps(), curvature).unwrap();
     assert!((gain / on_host - 1.0).abs() < 1e-4, "{gain}, {on_host} on the host");
     let found = optimiser.download().unwrap();
@@ -222,7 +219,7 @@ fn the_pull_of_the_prior_agrees() {
         &gpu,
         prior,
         &GpuScene::upload(&gpu, &start).unwrap(),
-        gpu.upload("views", &seen).unwrap(),
+        (gpu.upload("views", &seen).unwrap(), 500),
     );
     let region = half(13);
     let selection = Selection { region: Some(&region), tiles: None, layers: None };

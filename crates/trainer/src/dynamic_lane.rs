@@ -9,7 +9,7 @@ use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
 use crate::layer_lane::train_layer;
 use crate::lengths::{TILE_DILATION, pixel_length};
 use crate::prior::Prior;
-use crate::schedule::{Schedule, decay};
+use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
@@ -148,7 +148,11 @@ pub fn train_dynamic<B: TrainBackend>(
         settled: config.settled,
         ..Schedule::default()
     };
-    let trained = train_layer(backend, task, &schedule, seed, report);
+    // A view tells as much as it has pixels that count; steps of Adam are as long whatever it tells.
+    let pixels: Vec<f64> = task.views.iter().map(|view| view.pixels() as f64).collect();
+    let natural = config.natural_step > 0.0 && task.prior.is_some();
+    let order = if natural { Epochs::weighted(&pixels, seed) } else { Epochs::new(pixels.len(), seed) };
+    let trained = train_layer(backend, task, &schedule, &order, report);
     *dynamic = Arc::unwrap_or_clone(layer);
     trained
 }

@@ -4,7 +4,7 @@ use crate::backend::{LayerTask, LayerTraining, TrainBackend};
 use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 
-/// Trains `task`, without density control; `seed` fixes the order of its views. Says how many steps were taken.
+/// Trains `task`, without density control, on its views as `order` draws them. Says how many steps were taken.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -12,13 +12,12 @@ pub fn train_layer<B: TrainBackend>(
     backend: &B,
     task: LayerTask,
     schedule: &Schedule,
-    seed: u64,
+    order: &Epochs,
     report: &mut dyn FnMut(Progress),
 ) -> Result<usize, B::Error> {
-    let views = task.views.len();
     let mut training = backend.upload_layer(task)?;
     loop {
-        let steps = schedule.run(&mut training, &mut Epochs::new(views, seed), |_, _| Ok(()), report)?;
+        let steps = schedule.run(&mut training, &mut order.clone(), |_, _| Ok(()), report)?;
         if !training.must_repeat()? {
             return training.download().map(|()| steps);
         }

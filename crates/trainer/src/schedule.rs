@@ -8,28 +8,57 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// Draws items in epochs: every item once in a seeded random order, then again in another.
+/// Draws items in epochs: every item once, or as often as its weight says, in a seeded random order, then again in another.
 #[derive(Clone, Debug)]
 pub struct Epochs {
     order: Vec<usize>,
     next: usize,
     rng: ChaCha8Rng,
+    /// Draws of each item per epoch, and those that are due to it; empty = one each.
+    weights: Vec<[f64; 2]>,
 }
 
 impl Epochs {
     /// Draws from 0 to `count - 1`, in orders that `seed` fixes.
     pub fn new(count: usize, seed: u64) -> Self {
-        Self { order: (0..count).collect(), next: count, rng: ChaCha8Rng::seed_from_u64(seed) }
+        let rng = ChaCha8Rng::seed_from_u64(seed);
+        Self { order: (0..count).collect(), next: count, rng, weights: Vec::new() }
+    }
+
+    /// The same, each item as often as its weight (not negative) says: in an epoch as many in all as there are items, but for those that
+    /// rounding leaves for the next one. Items without any weight are drawn once each.
+    pub fn weighted(weights: &[f64], seed: u64) -> Self {
+        let mean = weights.iter().sum::<f64>() / weights.len().max(1) as f64;
+        let count = weights.len();
+        let per_epoch = weights.iter().map(|weight| [weight / mean, 0.5]);
+        let weights = if mean > 0.0 { per_epoch.collect() } else { Vec::new() };
+        Self { weights, ..Self::new(count, seed) }
     }
 
     /// The next item; `None` when there are none at all.
     pub fn draw(&mut self) -> Option<usize> {
         if self.next >= self.order.len() {
+            self.deal();
             self.order.shuffle(&mut self.rng);
             self.next = 0;
         }
         self.next += 1;
         self.order.get(self.next - 1).copied()
+    }
+
+    /// What is due in the next epoch.
+    fn deal(&mut self) {
+        if self.weights.is_empty() {
+            return;
+        }
+        self.order.clear();
+        while self.order.is_empty() {
+            for (item, [per_epoch, due]) in self.weights.iter_mut().enumerate() {
+                *due += *per_epoch;
+                self.order.extend(std::iter::repeat_n(item, due.floor() as usize));
+                *due -= due.floor();
+            }
+        }
     }
 }
 
@@ -204,5 +233,20 @@ mod tests {
             assert_eq!(seen, [0, 1, 2]);
         }
         assert_eq!(Epochs::new(0, 1).draw(), None);
+    }
+
+    #[test]
+    fn items_are_drawn_as_often_as_they_weigh() {
+        let mut epochs = Epochs::weighted(&[1.0, 2.5, 0.0, 0.1], 1);
+        let mut drawn = [0; 4];
+        (0..3600).for_each(|_| drawn[epochs.draw().unwrap()] += 1);
+        let wanted = [1000.0, 2500.0, 0.0, 100.0];
+        assert!(drawn.iter().zip(wanted).all(|(n, want)| (f64::from(*n) - want).abs() < 5.0), "{drawn:?}");
+        let mut alike = Epochs::weighted(&[3.0; 3], 1);
+        let mut seen: Vec<_> = (0..3).map(|_| alike.draw().unwrap()).collect();
+        seen.sort_unstable();
+        assert_eq!(seen, [0, 1, 2]);
+        assert_eq!(Epochs::weighted(&[], 1).draw(), None);
+        assert!(Epochs::weighted(&[0.0; 2], 1).draw().is_some(), "without any weight they are alike");
     }
 }

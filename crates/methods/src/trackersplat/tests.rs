@@ -4,13 +4,14 @@ use super::*;
 use crate::world::{World, advance, repeats};
 use ffgs_core::StageLog;
 use ffgs_testkit::conformance;
-use ffgs_trainer::{CpuBackend, train_layer};
+use ffgs_trainer::{CpuBackend, Epochs, train_layer};
 use glam::Vec3;
 
 fn short(iterations: usize) -> Trackersplat<'static> {
     let config = TrackersplatConfig { iterations, ..TrackersplatConfig::default() };
     let train: Box<TrainLayer> = Box::new(|task, schedule, seed| {
-        Ok(train_layer(&CpuBackend, task, schedule, seed, &mut |_| {}).map(drop)?)
+        let order = Epochs::new(task.views.len(), seed);
+        Ok(train_layer(&CpuBackend, task, schedule, &order, &mut |_| {}).map(drop)?)
     });
     Trackersplat { config, voronoi: VoronoiConfig::default(), train }
 }

@@ -5,7 +5,7 @@ use anyhow::{Result, bail};
 use ffgs_method::MotionMethod;
 use ffgs_methods::{Dynamic3dgs, Queen, Trackersplat, TrainLayer, hicom, recongs};
 use ffgs_motion::{Standstill, TrackerMotion};
-use ffgs_trainer::{CpuBackend, train_layer};
+use ffgs_trainer::{CpuBackend, Epochs, train_layer};
 use ffgs_trainer_gpu::GpuBackend;
 
 /// The paper's method with all trackers.
@@ -80,9 +80,10 @@ fn trackersplat<'a>(context: &MethodContext<'a>, _: &str) -> Result<Box<dyn Moti
     }
     let gpu = context.gpu;
     let train: Box<TrainLayer> = Box::new(move |task, schedule, seed| {
+        let order = Epochs::new(task.views.len(), seed);
         match gpu {
-            None => train_layer(&CpuBackend, task, schedule, seed, &mut |_| {})?,
-            Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, seed, &mut |_| {})?,
+            None => train_layer(&CpuBackend, task, schedule, &order, &mut |_| {})?,
+            Some(gpu) => train_layer(&GpuBackend(gpu), task, schedule, &order, &mut |_| {})?,
         };
         Ok(())
     });

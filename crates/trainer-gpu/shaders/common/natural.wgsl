@@ -7,7 +7,7 @@ struct Natural {
     stamp: u32,
     // Items at the front that stay.
     fixed: u32,
-    // Of the way to the minimum.
+    // Of the way to the minimum, over what one nat is in the loss of a view with the mean number of pixels.
     share: f32,
     means: f32,
     quats: f32,

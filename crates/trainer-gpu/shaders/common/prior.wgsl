@@ -6,8 +6,6 @@ struct Prior {
     coefficients: u32,
     // Weight of the penalty in units of the loss, at one sample and one view.
     strength: f32,
-    // One nat in units of the loss, at one sample.
-    unit: f32,
     // What natural steps add to the information of each kind of parameter.
     damping_means: f32,
     damping_turns: f32,
@@ -17,4 +15,5 @@ struct Prior {
     damping_sh_rest: f32,
     padding_a: u32,
     padding_b: u32,
+    padding_c: u32,
 }

@@ -17,6 +17,8 @@ use std::sync::Arc;
 pub struct CpuLayer<'a> {
     layer: &'a mut Gaussians,
     views: Vec<TaskView<'a>>,
+    /// Mean over them of the pixels that count.
+    mean_pixels: usize,
     around: Surrounding<'a>,
     penalty: Option<Penalty<'a>>,
     adam: Adam,
@@ -52,6 +54,7 @@ impl<'a> CpuLayer<'a> {
             fixed: task.fixed,
             sums: task.sums_gradients.then(|| GradientSums::new(layer.len())),
             layer,
+            mean_pixels: mean_pixels(&task.views),
             views: task.views,
             running: Running::default(),
             at: 0,
@@ -70,7 +73,7 @@ impl<'a> CpuLayer<'a> {
         let gradient = &self.gradients.gaussians;
         match (natural, &self.penalty) {
             (Some(share), Some(penalty)) => {
-                let curvature = penalty.curvature(self.views[self.at].pixels());
+                let curvature = penalty.curvature(self.mean_pixels);
                 self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
             }
             _ => self.adam.step(self.layer, gradient, rates, Update::Touched(touched)),
@@ -124,7 +127,7 @@ impl Training for CpuLayer<'_> {
     }
 
     fn expected_gain(&mut self) -> Result<Option<f64>, Infallible> {
-        let curvature = self.penalty.as_ref().map(|penalty| penalty.curvature(mean_pixels(&self.views)));
+        let curvature = self.penalty.as_ref().map(|penalty| penalty.curvature(self.mean_pixels));
         Ok(curvature.and_then(|curvature| self.adam.expected_gain(curvature)))
     }
 

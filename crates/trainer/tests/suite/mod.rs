@@ -267,7 +267,7 @@ pub(crate) fn what_has_settled_takes_fewer_steps<B: TrainBackend>(backend: &B) {
     let views = noisy(&world.views);
     let Gain { mut information, noise } =
         information_gain(&[&world.fixed, &world.moving], &world.sky, &views);
-    information.positions.iter_mut().for_each(|of_a_frame| *of_a_frame *= 200.0);
+    information.positions.iter_mut().for_each(|of_a_frame| *of_a_frame *= 1000.0);
     let prior = Some(Prior { information: &information, noise, weight: 0.0, curvature: &information });
     let around = Surroundings { prior, ..world.around() };
     let steps = |layer: &Gaussians, config: DynamicLaneConfig| {
