@@ -154,6 +154,13 @@ mod tests {
         all_unexplained(&scene.dynamic.gaussians, views).iter().map(Mask::count).sum()
     }
 
+    /// Of the ball that enters.
+    fn assert_most_are_near_the_surface(born: &[DVec3]) {
+        let near = |p: &&DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
+        let (right, count) = (born.iter().filter(near).count(), born.len());
+        assert!(right * 10 > count * 8, "{right} of {count} are near the surface");
+    }
+
     #[test]
     fn what_enters_is_born_where_it_is_and_once() {
         let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
@@ -172,10 +179,7 @@ mod tests {
             [dynamic.ids.len(), dynamic.covariances.len(), dynamic.growth_limit],
             [old.len() + count; 3]
         );
-        let near = |p: &DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
-        let places = dynamic.gaussians.positions();
-        let right = places[old.len()..].iter().filter(|p| near(p)).count();
-        assert!(right * 10 > count * 8, "{right} of {count} are near the surface");
+        assert_most_are_near_the_surface(&dynamic.gaussians.positions()[old.len()..]);
         let again = born(&mut scene, &views);
         assert!(again * 5 < count, "{again} more of what is there");
     }
@@ -192,10 +196,7 @@ mod tests {
         assert!(before > 125 && count > 75, "{before} pixels, {count} born");
         let after = open_pixels(&scene, &views);
         assert!(after * 5 < before, "{before} unexplained pixels, then {after}");
-        let near = |p: &DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
-        let places = scene.dynamic.gaussians.positions();
-        let right = places[old.len()..].iter().filter(|p| near(p)).count();
-        assert!(right * 10 > count * 8, "{right} of {count} are near the surface");
+        assert_most_are_near_the_surface(&scene.dynamic.gaussians.positions()[old.len()..]);
     }
 
     #[test]

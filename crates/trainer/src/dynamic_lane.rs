@@ -148,13 +148,16 @@ pub fn train_dynamic<B: TrainBackend>(
         settled: config.settled,
         ..Schedule::default()
     };
-    // A view tells as much as it has pixels that count; steps of Adam are as long whatever it tells.
-    let pixels: Vec<f64> = task.views.iter().map(|view| view.pixels() as f64).collect();
-    let natural = config.natural_step > 0.0 && task.prior.is_some();
-    let order = if natural { Epochs::weighted(&pixels, seed) } else { Epochs::new(pixels.len(), seed) };
+    let order = order(config.natural_step > 0.0 && task.prior.is_some(), &task.views, seed);
     let trained = train_layer(backend, task, &schedule, &order, report);
     *dynamic = Arc::unwrap_or_clone(layer);
     trained
+}
+
+/// A view tells as much as it has pixels that count; steps of Adam are as long whatever it tells (docs/adr/0081).
+fn order(natural: bool, views: &[TaskView], seed: u64) -> Epochs {
+    let pixels: Vec<f64> = views.iter().map(|view| view.pixels() as f64).collect();
+    if natural { Epochs::weighted(&pixels, seed) } else { Epochs::new(views.len(), seed) }
 }
 
 fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView<'a> {
@@ -162,4 +165,30 @@ fn task_view<'a>(config: &DynamicLaneConfig, view: &'a TrainingView) -> TaskView
     // A region that reaches beyond the usual tiles takes its own.
     let tiles = TileMask::covering(&view.mask.widened(TILE_DILATION.max(config.loss_dilation)));
     TaskView { view, region: Some(region), tiles: Some(tiles) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
+    use glam::DMat4;
+
+    #[test]
+    fn natural_steps_see_a_view_as_often_as_it_has_pixels_that_count() {
+        let size = ImageSize { width: 8, height: 6 };
+        let intrinsics = Intrinsics { fx: 8.0, fy: 8.0, cx: 4.0, cy: 3.0 };
+        let view = TrainingView {
+            camera: Camera::new(intrinsics, DMat4::IDENTITY, size).unwrap(),
+            image: ImageRgb8::new(size, vec![0; 144]).unwrap(),
+            mask: Mask::filled(size, true),
+        };
+        let first = |count: usize| Mask::new(size, (0..48).map(|i| u8::from(i < count)).collect()).unwrap();
+        let views = [30, 10].map(|count| TaskView::of_region(&view, first(count)));
+        let drawn = |natural: bool| {
+            let mut order = order(natural, &views, 1);
+            let second: usize = (0..400).map(|_| order.draw().unwrap()).sum();
+            [400 - second, second]
+        };
+        assert_eq!((drawn(true), drawn(false)), ([300, 100], [200, 200]));
+    }
 }

@@ -68,11 +68,6 @@ pub struct Curvature<'a> {
 }
 
 impl Adam {
-    /// What the mean derivatives of the positions promise, [`Training::expected_gain`](crate::Training::expected_gain).
-    pub(crate) fn expected_gain(&self, curvature: Curvature) -> Option<f64> {
-        expected_gain(&self.first_moments().means, self.steps(), curvature)
-    }
-
     /// One step of the `touched` Gaussians: the first moment over the curvature, times `share`. No value changes by more
     /// than [`LONGEST`] of its rate.
     ///

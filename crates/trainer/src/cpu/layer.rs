@@ -5,6 +5,7 @@ use super::cut::Cut;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, Training, mean_pixels};
 use crate::background::SkyBehind;
 use crate::density_control::GradientSums;
+use crate::natural::expected_gain;
 use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
@@ -128,7 +129,8 @@ impl Training for CpuLayer<'_> {
 
     fn expected_gain(&mut self) -> Result<Option<f64>, Infallible> {
         let curvature = self.penalty.as_ref().map(|penalty| penalty.curvature(self.mean_pixels));
-        Ok(curvature.and_then(|curvature| self.adam.expected_gain(curvature)))
+        let (first, steps) = (&self.adam.first_moments().means, self.adam.steps());
+        Ok(curvature.and_then(|curvature| expected_gain(first, steps, curvature)))
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, Infallible> {
