@@ -117,7 +117,7 @@ fn nerfstudio_with_opengl_axes_and_a_missing_picture() {
     let [k1, k2, p1, p2, k3] = BROWN;
     let text = format!(
         r#"{{"fl_x": {}, "fl_y": {}, "cx": {}, "cy": {}, "w": {WIDTH}, "h": {HEIGHT}.0, "camera_model": "OPENCV",
-        "k1": {k1}, "k2": {k2}, "p1": {p1}, "p2": {p2}, "k3": {k3}, "frames": [{}]}}"#,
+        "k1": {k1}, "k2": {k2}, "p1": {p1}, "p2": {p2}, "k3": {k3}, "ply_file_path": "sparse_pc.ply", "frames": [{}]}}"#,
         K[0],
         K[1],
         K[2],
@@ -127,7 +127,13 @@ fn nerfstudio_with_opengl_axes_and_a_missing_picture() {
     write(&pictures, "transforms.json", &text);
     let footage = read(pictures.path(), "transforms");
     assert_rig(&footage.cameras, true);
-    assert!(footage.skipped.iter().any(|s| s.contains("gone.png")));
+    let skipped = |name: &str| footage.skipped.iter().any(|s| s.contains(name));
+    assert!(skipped("gone.png") && skipped("sparse_pc.ply"), "{:?}", footage.skipped);
+    let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n\
+        property uchar green\nproperty uchar blue\nend_header\n1 2 3 0 255 51\n";
+    write(&pictures, "sparse_pc.ply", points);
+    let footage = read(pictures.path(), "transforms");
+    assert_eq!(footage.points, [ColouredPoint { position: DVec3::new(1.0, 2.0, 3.0), colour: [0, 255, 51] }]);
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod colmap_text;
 mod dynamic3dgs;
 mod opencv_yaml;
 mod panoptic;
+mod point_ply;
 mod poses_bounds;
 mod transforms;
 

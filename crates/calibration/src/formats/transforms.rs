@@ -1,12 +1,11 @@
 //! `transforms.json` of instant-ngp and nerfstudio: camera-to-world with OpenGL axes, intrinsics for all pictures or
-//! one each, COLMAP's pixel centres (0.5).
+//! one each, COLMAP's pixel centres (0.5). nerfstudio's points (`ply_file_path`) lie in the same world.
 
+use super::point_ply::read_points;
 use super::{Format, checked, file_called, from_opengl, image_size, read_text};
 use crate::media::stem;
-use crate::{
-    CalibrationError, ColouredPoint, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera,
-};
-use ffgs_core::{ImageSize, Intrinsics};
+use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
+use ffgs_core::{ImageSize, Intrinsics, is_present};
 use glam::DMat4;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -75,13 +74,14 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         }
     }
     footage.cameras.sort_by(|a, b| crate::media::natural_order(Path::new(&a.name), Path::new(&b.name)));
-    if let Some(ply) = transforms.ply_file_path {
-        footage.skipped.push(format!("{ply}: points of a PLY are not read"));
+    if let Some(name) = transforms.ply_file_path {
+        let ply = home.join(&name);
+        if is_present(&ply) {
+            footage.points = read_points(&ply)?;
+        } else {
+            footage.skipped.push(format!("{name} is listed but not there"));
+        }
     }
-    footage.points = Vec::<ColouredPoint>::new();
-    footage
-        .assumed
-        .push("the unit of length is kept: transforms.json has none (--unit names one)".to_owned());
     Ok(footage)
 }
 

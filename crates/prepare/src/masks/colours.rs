@@ -2,7 +2,8 @@
 //! (Rother, Kolmogorov and Blake 2004).
 //!
 //! A background that was learnt wrongly, where something stood for most of the time, denies that thing and calls the free ground
-//! foreground; the colours of the rest of the thing and of the ground beside it put both right.
+//! foreground; the colours of the rest of the thing and of the ground beside it put both right
+//! (docs/adr/0082-backgrounds-with-the-colours-of-masks.md).
 
 use super::background::{Background, colour};
 use super::regions;
@@ -15,10 +16,16 @@ const EVEN: f32 = 0.8;
 /// A colour's vote is so many times the logarithm of how much more frequent it is in the masks, and never more than this.
 const VOTE: f32 = 0.7;
 const MOST: f32 = 0.7;
+/// A background is that of a thing, which stood there for most of the time, with this probability where the masks hold its colour as often as
+/// their surroundings do; the odds grow with this power of how much more often they hold it.
+const WRONG: f32 = 0.1;
+const WRONG_POWER: f32 = 3.0;
+/// Where it is, the logarithm of how much more frequent the pixel's colour is in the masks counts, and never more than this.
+const MOST_ALONE: f32 = 1.5;
 /// Fewer pixels have no histogram.
 const LEAST_PIXELS: usize = 20;
 
-/// What each colour says for the foreground of a camera.
+/// The logarithm of how much more frequent each colour is in the masks of a camera than around them.
 pub(crate) struct Colours(Vec<f32>);
 
 impl Colours {
@@ -37,16 +44,26 @@ impl Colours {
             }
         }
         let (inside, around) = (inside.shares()?, around.shares()?);
-        let vote = |(f, b): (&f32, &f32)| (VOTE * (f / b).ln()).clamp(-MOST, MOST);
-        Some(Self(inside.iter().zip(&around).map(vote).collect()))
+        Some(Self(inside.iter().zip(&around).map(|(f, b)| (f / b).ln()).collect()))
     }
 
-    /// Adds what the colour of each pixel near the mask says to its vote.
-    pub(crate) fn add(&self, votes: &mut [f32], image: &ImageRgb8, background: &Background, mask: &Mask) {
+    /// Weighs the votes of the pixels near the mask, which are by their difference from the background, with what colours say.
+    pub(crate) fn weigh(&self, votes: &mut [f32], image: &ImageRgb8, background: &Background, mask: &Mask) {
         let (gain, near) = (background.gain(image), regions::surroundings(mask));
         for i in (0..votes.len()).filter(|&i| near.data()[i] == 1) {
-            votes[i] += self.0[bin(colour(image, gain, i))];
+            votes[i] = self.vote(votes[i], colour(image, gain, i), background.colour[i]);
         }
+    }
+
+    /// The log odds of foreground of a pixel with colour `here`, whose difference from the background `there` says `own`. The more often the
+    /// masks hold the background's colour, the more likely is it that of a thing: then the difference says nothing, and the pixel's colour counts alone.
+    fn vote(&self, own: f32, here: [f32; 3], there: [f32; 3]) -> f32 {
+        let (here, there) = (self.0[bin(here)], self.0[bin(there)]);
+        let odds = WRONG / (1.0 - WRONG) * (WRONG_POWER * there).exp();
+        let wrong = odds / (1.0 + odds);
+        let with_colour = own + (VOTE * here).clamp(-MOST, MOST);
+        let alone = here.clamp(-MOST_ALONE, MOST_ALONE);
+        -((1.0 - wrong) * (-with_colour).exp() + wrong * (-alone).exp()).ln()
     }
 }
 
@@ -124,7 +141,7 @@ mod tests {
         let (background, image) = (background(), picture());
         let colours = Colours::learn(&background, std::slice::from_ref(&image), std::slice::from_ref(mask));
         let mut votes = vec![0.0; SIZE.pixels()];
-        colours.unwrap().add(&mut votes, &image, &background, mask);
+        colours.unwrap().weigh(&mut votes, &image, &background, mask);
         votes
     }
 
@@ -141,6 +158,34 @@ mod tests {
             assert!(!car(x, y) || *vote > 0.2, "car at {x}, {y}: {vote}");
         }
         assert_eq!(votes[0], 0.0, "far from the mask");
+    }
+
+    /// The background holds the left half of the car, which stood there for most of the time; now it stands more to the right.
+    #[test]
+    fn a_background_with_the_colours_of_the_masks_decides_nothing() {
+        let car = |x: usize, y: usize| (30..50).contains(&x) && (10..24).contains(&y);
+        let (image, mask) = (picture(), mask(car));
+        let wrong = |x: usize, y: usize| (24..40).contains(&x) && (10..20).contains(&y);
+        let there = |i: usize| if wrong(i % SIZE.width, i / SIZE.width) { CAR } else { ROAD };
+        let wrong_there = Background {
+            size: SIZE,
+            colour: (0..SIZE.pixels()).map(|i| there(i).map(f32::from)).collect(),
+            spread: vec![2.0; SIZE.pixels()],
+        };
+        let (ghost, hole, body, road) = (14 * 80 + 26, 14 * 80 + 35, 14 * 80 + 45, 14 * 80 + 53);
+        let by_difference = |i: usize| if i == ghost || i == body { 2.0 } else { -2.0 };
+        let weighed = |background: &Background| {
+            let colours =
+                Colours::learn(background, std::slice::from_ref(&image), std::slice::from_ref(&mask))
+                    .unwrap();
+            let mut votes: Vec<f32> = (0..SIZE.pixels()).map(by_difference).collect();
+            colours.weigh(&mut votes, &image, background, &mask);
+            [ghost, hole, body, road].map(|i| votes[i])
+        };
+        let [ghost, hole, body, road] = weighed(&wrong_there);
+        assert!(ghost < -0.5 && hole > 0.5 && body > 2.0 && road < -2.0, "{ghost} {hole} {body} {road}");
+        let [_, hole, body, road] = weighed(&background());
+        assert!(hole < -0.5 && body > 2.0 && road < -2.0, "right: {hole} {body} {road}");
     }
 
     #[test]

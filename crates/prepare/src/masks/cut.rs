@@ -98,22 +98,27 @@ const MOST: f32 = 2.0;
 const DENIED: f32 = -0.7;
 const CONFIRMED: f32 = 1.0;
 
-/// What each pixel says for itself, by its score, and by what other views find possible and confirm.
-pub(crate) fn votes(scores: &[f32], possible: &Mask, confirmed: &Mask) -> Vec<f32> {
-    let size = possible.size();
+/// What each pixel says for itself, by its score.
+pub(crate) fn votes(scores: &[f32], size: ImageSize) -> Vec<f32> {
     let highest = around(scores, size);
     let vote = |i: usize| {
         // A pixel that the outline crosses differs half as much as the one beside it.
         let part = scores[i] / highest[i].max(1e-3);
         let score = if part < 0.5 { scores[i].min(2.0 * part) } else { scores[i] };
-        let own = (VOTE * score.max(1e-3).ln()).clamp(-MOST, MOST);
-        match (possible.data()[i], confirmed.data()[i]) {
-            (0, _) => own + DENIED,
-            (_, 1) => own + CONFIRMED,
-            _ => own,
-        }
+        (VOTE * score.max(1e-3).ln()).clamp(-MOST, MOST)
     };
     (0..scores.len()).map(vote).collect()
+}
+
+/// Adds what other views say, who find a pixel `possible` and have `confirmed` it, or have not.
+pub(crate) fn add_other_views(votes: &mut [f32], possible: &Mask, confirmed: &Mask) {
+    for (i, vote) in votes.iter_mut().enumerate() {
+        *vote += match (possible.data()[i], confirmed.data()[i]) {
+            (0, _) => DENIED,
+            (_, 1) => CONFIRMED,
+            _ => 0.0,
+        };
+    }
 }
 
 /// The highest of the 3 x 3 values around each.
@@ -155,8 +160,7 @@ mod tests {
                 if in_disc(i, 12.0) ^ errs { 3.0 } else { 0.3 }
             })
             .collect();
-        let (all, none) = (Mask::filled(SIZE, true), Mask::filled(SIZE, false));
-        let votes = votes(&scores, &all, &none);
+        let votes = votes(&scores, SIZE);
         let start = Mask::new(SIZE, votes.iter().map(|v| u8::from(*v > 0.0)).collect()).unwrap();
         let wrong = |mask: &Mask| {
             (0..SIZE.pixels()).filter(|&i| mask.data()[i] != u8::from(in_disc(i, 12.0))).count()
@@ -168,7 +172,11 @@ mod tests {
 
     #[test]
     fn other_views_deny_what_is_doubtful_and_not_what_is_clear() {
-        let found = |score: f32| votes(&[score; 3], &mask(&[0, 1, 1]), &mask(&[0, 0, 1]));
+        let found = |score: f32| {
+            let mut votes = votes(&[score; 3], ImageSize { width: 3, height: 1 });
+            add_other_views(&mut votes, &mask(&[0, 1, 1]), &mask(&[0, 0, 1]));
+            votes
+        };
         let (doubtful, clear) = (found(1.3), found(5.0));
         assert!(doubtful[0] < 0.0 && doubtful[1] > 0.0 && clear[0] > 0.0, "{doubtful:?} {clear:?}");
         assert!(clear[0] < clear[1] && clear[1] < clear[2], "{clear:?}");

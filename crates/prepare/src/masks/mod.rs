@@ -1,6 +1,7 @@
 //! Foreground masks by difference from each fixed camera's background, made consistent between the views.
 
 mod background;
+mod change;
 mod colours;
 mod contact_sheet;
 mod continuation;
@@ -14,11 +15,12 @@ use crate::hull::{Silhouette, common_region, hull};
 use crate::pictures::{read_mask, write_mask};
 use crate::{PrepareError, Progress};
 use background::Background;
+use change::Change;
 use colours::Colours;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
 use rayon::prelude::*;
-use regions::{filled, without_specks};
+use regions::{filled, touched_by, without_specks};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -26,8 +28,10 @@ use std::path::{Path, PathBuf};
 const SAMPLES: usize = 20;
 /// Fewer frames do not tell what stands still.
 const LEAST_FRAMES: usize = 4;
-/// Rounds: from the second one on, the background is learnt without what the one before found, and the colours of that count.
-const ROUNDS: usize = 3;
+/// From the second round on, the background is learnt without what the one before found, and the colours of that count. There are so many
+/// rounds at most, and none after one that changes less than this share of what the masks hold.
+const MOST_ROUNDS: usize = 6;
+const SETTLED: f64 = 0.02;
 /// Voxels that so many views see may add foreground to a mask.
 const VIEWS_THAT_ADD: u16 = 4;
 /// Smallest region (of the image) that is kept, and largest hole that is filled.
@@ -69,31 +73,64 @@ pub(crate) fn make(
         ));
     }
     let part = capture.root().join("seg.part");
-    let rounds = if plates == fixed { 1 } else { ROUNDS };
-    let total = rounds * (fixed + capture.frames());
+    let most = if plates == fixed { 1 } else { MOST_ROUNDS };
+    let total = most * (fixed + capture.frames());
     let mut done = 0;
     let mut step = |n: usize| {
         done += n;
         progress.advance("masks", done, total);
     };
-    for round in 0..rounds {
-        let known = (round > 0).then_some(part.as_path());
-        let learnt: Vec<Option<Learnt>> =
-            views.par_iter().map(|v| learn(capture, v, known, beside)).collect::<Result<_, _>>()?;
-        step(fixed);
-        for frame in 0..capture.frames() {
-            let masks = masks_of(capture, &views, &learnt, frame)?;
-            views
-                .par_iter()
-                .zip(&masks)
-                .try_for_each(|(view, mask)| write_mask(&part.join(file_name(&view.name, frame)), mask))?;
-            step(1);
+    for round in 1..=most {
+        let change = make_once(capture, &views, beside, &part, round > 1, &mut step)?;
+        tracing::info!("masks, round {round}: {:.1} % changed", 100.0 * change);
+        if change < SETTLED {
+            break;
         }
     }
+    progress.advance("masks", total, total);
     let seg = capture.root().join("seg");
     fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
     contact_sheet::write(capture, &seg)?;
     Ok(format!("{}; look at {SHEET}", made_from(plates, fixed, views.len())))
+}
+
+/// One round. Returns by which share the masks in `folder` change, where there are some from the round `before`, else 1.
+fn make_once(
+    capture: &Capture,
+    views: &[View],
+    beside: &Beside,
+    folder: &Path,
+    before: bool,
+    step: &mut dyn FnMut(usize),
+) -> Result<f64, PrepareError> {
+    let known = before.then_some(folder);
+    let learnt: Vec<Option<Learnt>> =
+        views.par_iter().map(|v| learn(capture, v, known, beside)).collect::<Result<_, _>>()?;
+    step(learnt.iter().flatten().count());
+    let mut change = Change::default();
+    for frame in 0..capture.frames() {
+        let masks = masks_of(capture, views, &learnt, frame)?;
+        change = change + replace(folder, views, &masks, frame, before)?;
+        step(1);
+    }
+    Ok(if before { change.share() } else { 1.0 })
+}
+
+/// Writes the masks of a frame, and tells how they differ from those that were there `before`.
+fn replace(
+    folder: &Path,
+    views: &[View],
+    masks: &[Mask],
+    frame: usize,
+    before: bool,
+) -> Result<Change, PrepareError> {
+    let one = |(view, mask): (&View, &Mask)| {
+        let file = folder.join(file_name(&view.name, frame));
+        let change = if before { Change::between(&read_mask(&file)?, mask) } else { Change::default() };
+        write_mask(&file, mask)?;
+        Ok(change)
+    };
+    views.par_iter().zip(masks).map(one).try_reduce(Change::default, |a, b| Ok(a + b))
 }
 
 /// What the masks of `all` cameras were made from.
@@ -213,12 +250,15 @@ fn masks_of(
             return agreed.mask.clone();
         };
         let image = &loaded[v].1;
-        let mut votes = cut::votes(raw, &agreed.possible, &agreed.confirmed);
+        let mut votes = cut::votes(raw, image.size());
         if let Some(colours) = colours {
-            colours.add(&mut votes, image, background, &agreed.mask);
+            colours.weigh(&mut votes, image, background, &agreed.mask);
         }
-        let cut = without_specks(&cut::cheapest(&votes, image, background, &agreed.mask), SPECK, HOLE);
-        filled(&cut, POSSIBLE_HOLE, &agreed.possible)
+        cut::add_other_views(&mut votes, &agreed.possible, &agreed.confirmed);
+        let cut = cut::cheapest(&votes, image, background, &agreed.mask);
+        // What colours alone have found is another thing of the same colour.
+        let found = touched_by(&cut, |i| agreed.mask.data()[i] == 1);
+        filled(&without_specks(&found, SPECK, HOLE), POSSIBLE_HOLE, &agreed.possible)
     };
     Ok(agreed(&cameras, &scores, &silhouettes).par_iter().enumerate().map(refined).collect())
 }
