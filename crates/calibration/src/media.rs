@@ -48,9 +48,21 @@ impl Media {
     }
 
     /// The video or image folder of a camera that goes by one of `names`. A name fits a whole file stem or folder
-    /// name; case does not matter. The first name that fits wins; of several files with it the shallowest does.
+    /// name; case does not matter. The first name that fits wins; of several files with it the shallowest does. When none fits,
+    /// it is the only video in a folder of that name (`back/session_3.mp4`), or the only one with that word in its name (`session_3-back.mp4`).
     pub fn of_camera(&self, names: &[String]) -> Option<Pictures> {
-        names.iter().find_map(|name| self.named(name))
+        let any = |find: &dyn Fn(&String) -> Option<Pictures>| names.iter().find_map(find);
+        any(&|name| self.named(name))
+            .or_else(|| {
+                any(&|name| self.only_video(|video| video.parent().is_some_and(|p| is_named(p, name))))
+            })
+            .or_else(|| any(&|name| self.only_video(|video| has_words(&stem(video), name))))
+    }
+
+    fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<Pictures> {
+        let mut fitting = self.videos.iter().filter(|video| fits(video));
+        let first = fitting.next()?;
+        fitting.next().is_none().then(|| Pictures::Video(first.clone()))
     }
 
     /// The single image that is called by one of `names`.
@@ -118,6 +130,15 @@ pub(crate) fn images_in(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
+/// Whether the words of `name`, which is no number, come one after the other in `text`; case does not matter.
+fn has_words(text: &str, name: &str) -> bool {
+    let words = |text: &str| -> Vec<String> {
+        text.to_lowercase().split(|c: char| !c.is_alphanumeric()).map(ToOwned::to_owned).collect()
+    };
+    let (text, name_words) = (words(text), words(name));
+    name.chars().any(char::is_alphabetic) && text.windows(name_words.len()).any(|run| run == name_words)
+}
+
 fn is_named(path: &Path, name: &str) -> bool {
     path.file_name().is_some_and(|n| n.to_string_lossy().eq_ignore_ascii_case(name))
 }
@@ -173,5 +194,31 @@ mod tests {
         assert_eq!(of(&["1", "cam_1"]), Some(Pictures::Video(folder.path().join("videos/cam_1.mp4"))));
         assert_eq!(of(&["03"]), Some(Pictures::Files(vec![folder.path().join("images/03/1.png")])));
         assert_eq!((of(&["04"]), of(&["cam_5"])), (None, None));
+    }
+
+    /// The layouts of SLEAP's and Anipose's sessions.
+    #[test]
+    fn a_video_is_found_by_its_folder_or_by_a_word_of_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = [
+            "back/trial.mp4",
+            "back/boards/trial-back.mp4",
+            "2019-08-02-vid01-camA.mp4",
+            "2019-08-02-vid01-cam_B.mp4",
+            "one-C.mp4",
+            "two-C.mp4",
+        ];
+        for file in files {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        let media = Media::find(folder.path()).unwrap();
+        let of =
+            |name: &str| media.of_camera(&[name.to_owned(), format!("cam{name}"), format!("cam_{name}")]);
+        let video = |file: &str| Some(Pictures::Video(folder.path().join(file)));
+        assert_eq!(of("back"), video("back/trial.mp4"));
+        assert_eq!([of("A"), of("b")], [video(files[2]), video(files[3])]);
+        assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
     }
 }

@@ -34,6 +34,7 @@ pub(crate) fn find(capture: &dyn Capture, points: &Points, views: &[ViewSummary]
         }
     }
     notes.extend(shared_cameras(capture, &train));
+    notes.extend(twins(capture, &train));
     notes.extend(distances(capture, &train, points));
     notes.extend(exposure(capture, views));
     (faults, notes)
@@ -122,17 +123,29 @@ fn principal_point(name: &str, camera: &Camera) -> (Option<String>, Option<Strin
 
 /// Test cameras that are trained on measure nothing.
 fn shared_cameras(capture: &dyn Capture, train: &[(String, Camera)]) -> Option<Note> {
-    let same = |c: &Camera| {
-        train.iter().any(|(_, t)| {
-            t.center().distance(c.center()) < 1e-9 && t.rotation().abs_diff_eq(c.rotation(), 1e-9)
-        })
-    };
+    let trained = |c: &Camera| train.iter().any(|(_, t)| same_pose(t, c));
     let names: Vec<String> =
-        cameras(capture, Split::Test).into_iter().filter(|(_, c)| same(c)).map(|(name, _)| name).collect();
+        cameras(capture, Split::Test).into_iter().filter(|(_, c)| trained(c)).map(|(name, _)| name).collect();
     (!names.is_empty()).then(|| Note {
         file: capture.part(Part::Cameras(Split::Test)),
         text: format!("{} also trained on: their figures say nothing of new views", names.join(", ")),
     })
+}
+
+/// One camera's calibration that was written for another, too.
+fn twins(capture: &dyn Capture, train: &[(String, Camera)]) -> Option<Note> {
+    let mut pairs = train.iter().enumerate().flat_map(|(i, a)| train[i + 1..].iter().map(move |b| (a, b)));
+    let ((a, _), (b, _)) = pairs.find(|((_, a), (_, b))| same_pose(a, b))?;
+    Some(Note {
+        file: capture.part(Part::Cameras(Split::Train)),
+        text: format!(
+            "cameras '{a}' and '{b}' stand in the same place and look the same way: is the pose of one that of the other?"
+        ),
+    })
+}
+
+fn same_pose(a: &Camera, b: &Camera) -> bool {
+    a.center().distance(b.center()) < 1e-9 && a.rotation().abs_diff_eq(b.rotation(), 1e-9)
 }
 
 fn distances(capture: &dyn Capture, train: &[(String, Camera)], points: &Points) -> Option<Note> {

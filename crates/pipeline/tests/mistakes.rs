@@ -52,6 +52,7 @@ const MISTAKES: &[Mistake] = &[
     ("an image is missing", |root| fs::remove_file(root.join(IMAGE)).unwrap(), Fault, "trk003/000001.png"),
     ("an image is cut off", cut_off, Fault, "not a readable image"),
     ("test cameras are training cameras", shared, Usable, "also trained on"),
+    ("one camera with the pose of another", twins, Usable, "stand in the same place"),
     ("one camera with half the exposure", darker, Usable, "exposure differs: camera 'trk003'"),
     ("one camera upside down", upside_down, Usable, "upside down"),
 ];
@@ -258,6 +259,16 @@ fn without_tracks(root: &Path) {
     for file in files(&root.join("tracks/descriptors")).iter().filter(|f| f.ends_with("000002.npz")) {
         fs::remove_file(file).unwrap();
     }
+}
+
+/// The second camera has the pose of the first.
+fn twins(root: &Path) {
+    let file = root.join("train_meta.json");
+    let mut train = read(&file);
+    for frame in train["w2c"].as_array_mut().unwrap() {
+        frame[1] = frame[0].clone();
+    }
+    fs::write(file, train.to_string()).unwrap();
 }
 
 /// The test cameras are the first three training cameras.

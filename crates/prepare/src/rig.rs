@@ -59,6 +59,9 @@ pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareEr
         }
         rig.cameras.push(camera);
     }
+    if request.metres_per_unit.or(footage.metres_per_unit).is_none() {
+        rig.assumed.push("lengths of the calibration are metres (--unit names another unit)".to_owned());
+    }
     if rig.origin != DVec3::ZERO {
         rig.assumed.push(format!("the world was recentred by {:.1} (its unit)", rig.origin));
     }

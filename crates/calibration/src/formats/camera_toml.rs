@@ -62,9 +62,6 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         Pictures::Files(files) => files[0].clone(),
     });
     footage.timestamps = timestamps_near(file, first.as_deref());
-    footage
-        .assumed
-        .push("lengths are metres, as caliscope writes them (--unit names another unit)".to_owned());
     Ok(footage)
 }
 

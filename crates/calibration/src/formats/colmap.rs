@@ -61,7 +61,6 @@ fn read_one(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         }
     }
     footage.cameras.sort_by(|a, b| natural_order(Path::new(&a.name), Path::new(&b.name)));
-    footage.assumed.push("the unit of length is kept: COLMAP has none (--unit names one)".to_owned());
     Ok(footage)
 }
 

@@ -38,7 +38,6 @@ fn read(_: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         footage.cameras.push(checked(camera(name, pictures, row), file)?);
     }
     footage.assumed.push("the n-th pose belongs to the n-th video by name".to_owned());
-    footage.assumed.push("cam00 is held out, as is usual for N3DV; the unit of length is kept".to_owned());
     Ok(footage)
 }
 
