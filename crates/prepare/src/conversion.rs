@@ -12,10 +12,13 @@ use std::io::{self, Write as _};
 use std::path::Path;
 use std::str::FromStr;
 
+/// What nerfstudio calls its points.
+const POINTS: &str = "sparse_pc.ply";
+
 /// A layout that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// `transforms.json` with images.
+    /// `transforms.json` with images and `sparse_pc.ply`.
     Nerfstudio,
     /// A text model in `sparse/0` with images.
     Colmap,
@@ -55,7 +58,13 @@ pub fn convert(capture: &Capture, layout: Layout, frame: usize, out: &Path) -> R
     // A capture may do without points; other tools start from random ones then.
     let points = capture.initial_points().unwrap_or_default();
     match layout {
-        Layout::Nerfstudio => write_json(&out.join("transforms.json"), &transforms(&shots)),
+        Layout::Nerfstudio => {
+            let with_points = !points.is_empty();
+            if with_points {
+                write_text(&out.join(POINTS), &ply(&points))?;
+            }
+            write_json(&out.join("transforms.json"), &transforms(&shots, with_points))
+        }
         Layout::Colmap => write_model(&shots, &points, &out.join("sparse/0")),
     }
 }
@@ -84,7 +93,7 @@ fn copy(from: &Path, to: &Path) -> Result<(), PrepareError> {
 }
 
 /// OpenGL's axes, camera to world.
-fn transforms(shots: &[Shot]) -> Value {
+fn transforms(shots: &[Shot], with_points: bool) -> Value {
     let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
     let entry = |s: &Shot| {
         let k = s.camera.intrinsics();
@@ -99,7 +108,32 @@ fn transforms(shots: &[Shot]) -> Value {
         shots.iter().filter(|s| s.test == test).map(|s| format!("images/{}", s.file)).collect()
     };
     let frames: Vec<Value> = shots.iter().map(entry).collect();
-    json!({"camera_model": "PINHOLE", "frames": frames, "train_filenames": names(false), "test_filenames": names(true)})
+    let mut all = json!({
+        "camera_model": "PINHOLE", "frames": frames, "train_filenames": names(false), "test_filenames": names(true),
+    });
+    // Where none are named, nerfstudio starts from random ones.
+    if with_points {
+        all["ply_file_path"] = json!(POINTS);
+    }
+    all
+}
+
+/// Points in the world of the cameras, as text.
+fn ply(points: &Points) -> String {
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+        points.len()
+    );
+    for (p, [r, g, b]) in coloured(points) {
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "{} {} {} {r} {g} {b}", p[0], p[1], p[2]);
+    }
+    text
+}
+
+fn coloured(points: &Points) -> impl Iterator<Item = (&[f32; 3], [u8; 3])> {
+    points.positions.iter().zip(&points.colours).map(|(p, c)| (p, c.map(|v| (v * 255.0).round() as u8)))
 }
 
 fn write_model(shots: &[Shot], points: &Points, folder: &Path) -> Result<(), PrepareError> {
@@ -120,14 +154,15 @@ fn write_model(shots: &[Shot], points: &Points, folder: &Path) -> Result<(), Pre
             q.w, q.x, q.y, q.z, t.x, t.y, t.z, s.file
         );
     }
-    for (i, (p, c)) in points.positions.iter().zip(&points.colours).enumerate() {
-        let [r, g, b] = c.map(|v| (v * 255.0).round() as u8);
+    for (i, (p, [r, g, b])) in coloured(points).enumerate() {
         let _ = writeln!(cloud, "{} {} {} {} {r} {g} {b} 0", i + 1, p[0], p[1], p[2]);
     }
     for (name, text) in [("points3D.txt", cloud), ("images.txt", images), ("cameras.txt", cameras)] {
-        let file = folder.join(name);
-        write_atomically(&file, |w| w.write_all(text.as_bytes()))
-            .map_err(|e: io::Error| PrepareError::io(&file, e))?;
+        write_text(&folder.join(name), &text)?;
     }
     Ok(())
+}
+
+fn write_text(file: &Path, text: &str) -> Result<(), PrepareError> {
+    write_atomically(file, |w| w.write_all(text.as_bytes())).map_err(|e: io::Error| PrepareError::io(file, e))
 }

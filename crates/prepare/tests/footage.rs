@@ -4,7 +4,7 @@ use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use ffgs_dataset::{Capture, Split, check};
 use ffgs_prepare::{Layout, Request, Step, Summary, TestCameras, convert, prepare};
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
 use image::{Rgb, RgbImage};
 use std::fs;
 use std::path::Path;
@@ -210,8 +210,13 @@ fn a_capture_written_for_other_tools_is_read_as_the_same_cameras() {
         let out = tempfile::tempdir().unwrap();
         convert(&capture, layout, 0, out.path()).unwrap();
         let (found, file) = ffgs_calibration::detect(out.path(), None).unwrap();
-        let cameras = (found.read)(out.path(), &file).unwrap().cameras;
+        let read = (found.read)(out.path(), &file).unwrap();
+        let (cameras, points) = (read.cameras, capture.initial_points().unwrap());
         assert_eq!((found.name, cameras.len()), (format, CAMERAS));
+        assert!(!points.is_empty() && read.points.len() == points.len(), "{}", read.points.len());
+        for (read, wanted) in read.points.iter().zip(&points.positions) {
+            assert!((read.position.as_vec3() - Vec3::from(*wanted)).length() < 1e-5, "{wanted:?}");
+        }
         for c in &cameras {
             let wanted = camera(c.name[4..].parse().unwrap());
             assert!((c.poses[0] - wanted.camera_from_world()).to_cols_array().iter().all(|v| v.abs() < 1e-6));
