@@ -48,21 +48,29 @@ impl Media {
     }
 
     /// The video or image folder of a camera that goes by one of `names`. A name fits a whole file stem or folder
-    /// name; case does not matter. The first name that fits wins; of several files with it the shallowest does. When none fits,
-    /// it is the only video in a folder of that name (`back/session_3.mp4`), or the only one with that word in its name (`session_3-back.mp4`).
+    /// name; case does not matter. The first name that fits wins; of several files with it the shallowest does.
     pub fn of_camera(&self, names: &[String]) -> Option<Pictures> {
-        let any = |find: &dyn Fn(&String) -> Option<Pictures>| names.iter().find_map(find);
-        any(&|name| self.named(name))
-            .or_else(|| {
-                any(&|name| self.only_video(|video| video.parent().is_some_and(|p| is_named(p, name))))
-            })
-            .or_else(|| any(&|name| self.only_video(|video| has_words(&stem(video), name))))
+        names.iter().find_map(|name| self.named(name))
     }
 
-    fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<Pictures> {
+    /// As [`Self::of_camera`]; where no name fits, the only video in a folder of that name (`back/session_3.mp4`), or the only one
+    /// with that word in its name (`session_3-back.mp4`), which `assumed` tells.
+    pub fn likely_of_camera(&self, names: &[String], assumed: &mut Vec<String>) -> Option<Pictures> {
+        if let Some(pictures) = self.of_camera(names) {
+            return Some(pictures);
+        }
+        let in_folder =
+            |name: &String| self.only_video(|video| video.parent().is_some_and(|p| is_named(p, name)));
+        let with_word = |name: &String| self.only_video(|video| has_words(&stem(video), name));
+        let video = names.iter().find_map(in_folder).or_else(|| names.iter().find_map(with_word))?;
+        assumed.push(format!("{} is the video of camera '{}'", video.display(), names[0]));
+        Some(Pictures::Video(video.clone()))
+    }
+
+    fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<&PathBuf> {
         let mut fitting = self.videos.iter().filter(|video| fits(video));
         let first = fitting.next()?;
-        fitting.next().is_none().then(|| Pictures::Video(first.clone()))
+        fitting.next().is_none().then_some(first)
     }
 
     /// The single image that is called by one of `names`.
@@ -214,11 +222,15 @@ mod tests {
             fs::write(path, "").unwrap();
         }
         let media = Media::find(folder.path()).unwrap();
-        let of =
-            |name: &str| media.of_camera(&[name.to_owned(), format!("cam{name}"), format!("cam_{name}")]);
+        let mut assumed = Vec::new();
+        let mut of = |name: &str| {
+            let names = [name.to_owned(), format!("cam{name}"), format!("cam_{name}")];
+            media.likely_of_camera(&names, &mut assumed)
+        };
         let video = |file: &str| Some(Pictures::Video(folder.path().join(file)));
         assert_eq!(of("back"), video("back/trial.mp4"));
         assert_eq!([of("A"), of("b")], [video(files[2]), video(files[3])]);
         assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
+        assert!(assumed.len() == 3 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
     }
 }

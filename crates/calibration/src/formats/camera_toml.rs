@@ -45,7 +45,7 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             footage.skipped.push(format!("camera '{}' is marked as ignored", names[0]));
             continue;
         }
-        let Some(pictures) = media.of_camera(&names) else {
+        let Some(pictures) = media.likely_of_camera(&names, &mut footage.assumed) else {
             footage.skipped.push(format!(
                 "camera '{}' has no video or folder called {}",
                 names[0],
