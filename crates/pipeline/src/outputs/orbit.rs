@@ -9,6 +9,8 @@ use std::f64::consts::TAU;
 /// Distance from the circled object, in median distances of its Gaussians from its middle, for a wide lens: near enough that little
 /// stands between.
 const ORBIT_MARGIN: f64 = 0.9;
+/// What stands upright is wholly in the picture: this share of its Gaussians, by their height over its middle or under it.
+const TALL: f64 = 0.95;
 /// Elevation of an orbit as a share of its radius: what stands around hides less from above. At most as high as the highest camera,
 /// which is under a roof if there is one, but at least [`LEAST_ELEVATION`].
 const ORBIT_ELEVATION: f64 = 0.8;
@@ -31,8 +33,7 @@ pub fn orbit(capture: &dyn Capture, dynamic: &Gaussians, frame: usize, views: us
         }
     }
     let lens = cameras.first().context("the capture has no camera")?;
-    let (target, extent) = one_object(&moving);
-    circle(&cameras, target, extent, views)
+    circle(&cameras, &one_object(&moving), views)
         .into_iter()
         .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
         .collect()
@@ -59,16 +60,28 @@ pub fn clear_of(scene: &Scene, cameras: &[Camera]) -> Scene {
     Scene::new(layer.select(&kept), scene.dynamic.clone(), scene.sky.clone())
 }
 
-/// Median; 0 of nothing.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+    quantile(values, 0.5)
 }
 
-/// Middle and median distance (m) of one object: among several, medians over what lies near the present middle
-/// settle on one.
-fn one_object(points: &[DVec3]) -> (DVec3, f64) {
+/// The value that is larger than this share of all; 0 of nothing.
+fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get((sorted.len() as f64 * share) as usize).copied().unwrap_or(0.0)
+}
+
+/// What is circled.
+#[derive(Clone, Debug, PartialEq)]
+struct Object {
+    middle: DVec3,
+    /// Median distance of its Gaussians from the middle (m).
+    extent: f64,
+    points: Vec<DVec3>,
+}
+
+/// One object: among several, medians over what lies near the present middle settle on one.
+fn one_object(points: &[DVec3]) -> Object {
     let (mut near, mut middle, mut extent) = (points.to_vec(), DVec3::ZERO, 0.0);
     for _ in 0..20 {
         middle = DVec3::from_array([0, 1, 2].map(|a| median(near.iter().map(|p| p[a]))));
@@ -80,16 +93,18 @@ fn one_object(points: &[DVec3]) -> (DVec3, f64) {
         }
         near = next;
     }
-    (middle, extent)
+    Object { middle, extent, points: near }
 }
 
-/// Poses (camera from world) that look at `target`, an object of median radius `extent` (m).
-fn circle(cameras: &[Camera], target: DVec3, extent: f64, views: usize) -> Vec<DMat4> {
+/// Poses (camera from world) that look at the object's middle.
+fn circle(cameras: &[Camera], object: &Object, views: usize) -> Vec<DMat4> {
+    let target = object.middle;
     let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
-    let zoom = cameras
-        .first()
-        .map_or(1.0, |c| 2.0 * c.intrinsics().focal() / c.size().width.max(c.size().height) as f64);
-    let radius = ORBIT_MARGIN * extent.max(1e-3) * (1.0 + zoom);
+    let zoom = |side: usize| cameras.first().map_or(1.0, |c| 2.0 * c.intrinsics().focal() / side as f64);
+    let (width, height) = cameras.first().map_or((1, 1), |c| (c.size().width, c.size().height));
+    let tall = quantile(object.points.iter().map(|p| (*p - target).dot(up).abs()), TALL);
+    let near = ORBIT_MARGIN * object.extent.max(1e-3) * (1.0 + zoom(width.max(height)));
+    let radius = near.max(tall * (1.0 + zoom(height)));
     let highest = cameras.iter().map(|c| (c.center() - target).dot(up)).fold(0.0, f64::max);
     let height = highest.clamp(LEAST_ELEVATION * radius, ORBIT_ELEVATION * radius);
     let (east, north) = up.any_orthonormal_pair();
@@ -120,7 +135,7 @@ mod tests {
         let mut pose = DMat4::from_mat3(rotation);
         pose.w_axis = (-(rotation * DVec3::new(0.0, -8.0, 2.0))).extend(1.0);
         let camera = Camera::new(lens, pose, size).unwrap();
-        let poses = circle(&[camera], DVec3::ZERO, 1.0, 60);
+        let poses = circle(&[camera], &ball(1.0), 60);
         assert_eq!(poses.len(), 60);
         for pose in poses {
             let camera = Camera::new(lens, pose, size).unwrap();
@@ -131,11 +146,35 @@ mod tests {
         }
     }
 
+    fn ball(extent: f64) -> Object {
+        Object { middle: DVec3::ZERO, extent, points: Vec::new() }
+    }
+
+    /// A person of 1.8 m, 0.5 m wide, before an upright and a wide picture.
+    #[test]
+    fn what_stands_upright_is_in_the_picture_from_head_to_foot() {
+        let place =
+            |i: usize| DVec3::new(0.25 * (i as f64).sin(), 0.15 * (i as f64).cos(), -0.9 + 0.0018 * i as f64);
+        let person = one_object(&(0..1000).map(place).collect::<Vec<_>>());
+        for (width, height) in [(36, 64), (64, 36)] {
+            let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: width as f64 / 2.0, cy: height as f64 / 2.0 };
+            let rotation = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y).transpose();
+            let size = ImageSize { width, height };
+            let level = Camera::new(lens, DMat4::from_mat3(rotation), size).unwrap();
+            for pose in circle(&[level], &person, 12) {
+                let camera = Camera::new(lens, pose, size).unwrap();
+                let rows = [DVec3::Z, DVec3::NEG_Z].map(|end| camera.project(0.85 * end).unwrap().pixel.y);
+                assert!(rows.iter().all(|row| (0.0..height as f64).contains(row)), "{rows:?} of {height}");
+                assert!(rows[1] - rows[0] > 0.4 * height as f64, "{rows:?} of {height}: too far away");
+            }
+        }
+    }
+
     #[test]
     fn what_floats_before_a_lens_is_left_out() {
         let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 };
         let size = ImageSize { width: 64, height: 48 };
-        let cameras: Vec<Camera> = circle(&[], DVec3::ZERO, 1.0, 8)
+        let cameras: Vec<Camera> = circle(&[], &ball(1.0), 8)
             .into_iter()
             .map(|pose| Camera::new(lens, pose, size).unwrap())
             .collect();
@@ -150,13 +189,14 @@ mod tests {
 
     #[test]
     fn of_two_objects_one_is_circled() {
-        let ball = |center: DVec3| {
+        let disc = |center: DVec3| {
             (0..200).map(move |i| center + DVec3::new((i as f64).sin(), (i as f64 * 1.7).cos(), 0.0))
         };
         let points: Vec<DVec3> =
-            ball(DVec3::ZERO).chain(ball(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
-        let (middle, extent) = one_object(&points);
-        assert!(middle.length() < 0.3 && extent < 1.5, "{middle} {extent}");
-        assert_eq!(one_object(&points[..1]), (points[0], 0.0));
+            disc(DVec3::ZERO).chain(disc(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
+        let found = one_object(&points);
+        assert!(found.middle.length() < 0.3 && found.extent < 1.5, "{} {}", found.middle, found.extent);
+        let single = Object { middle: points[0], extent: 0.0, points: vec![points[0]] };
+        assert_eq!(one_object(&points[..1]), single);
     }
 }
