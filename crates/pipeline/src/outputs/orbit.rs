@@ -1,7 +1,7 @@
 //! Cameras that circle what moves.
 
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Camera, Gaussians, Scene};
+use ffgs_core::{Camera, Gaussians, ImageSize, Scene};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use std::f64::consts::TAU;
@@ -100,11 +100,13 @@ fn one_object(points: &[DVec3]) -> Object {
 fn circle(cameras: &[Camera], object: &Object, views: usize) -> Vec<DMat4> {
     let target = object.middle;
     let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
-    let zoom = |side: usize| cameras.first().map_or(1.0, |c| 2.0 * c.intrinsics().focal() / side as f64);
-    let (width, height) = cameras.first().map_or((1, 1), |c| (c.size().width, c.size().height));
+    // Distance at which a length fills half of a side of the picture, in such lengths.
+    let zoom = |side: fn(ImageSize) -> usize| {
+        cameras.first().map_or(1.0, |c| 2.0 * c.intrinsics().focal() / side(c.size()) as f64)
+    };
     let tall = quantile(object.points.iter().map(|p| (*p - target).dot(up).abs()), TALL);
-    let near = ORBIT_MARGIN * object.extent.max(1e-3) * (1.0 + zoom(width.max(height)));
-    let radius = near.max(tall * (1.0 + zoom(height)));
+    let near = ORBIT_MARGIN * object.extent.max(1e-3) * (1.0 + zoom(|size| size.width.max(size.height)));
+    let radius = near.max(tall * (1.0 + zoom(|size| size.height)));
     let highest = cameras.iter().map(|c| (c.center() - target).dot(up)).fold(0.0, f64::max);
     let height = highest.clamp(LEAST_ELEVATION * radius, ORBIT_ELEVATION * radius);
     let (east, north) = up.any_orthonormal_pair();
@@ -124,7 +126,7 @@ fn circle(cameras: &[Camera], object: &Object, views: usize) -> Vec<DMat4> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{ImageSize, Intrinsics};
+    use ffgs_core::Intrinsics;
 
     #[test]
     fn an_orbit_looks_at_its_target_with_the_cameras_up() {
