@@ -15,6 +15,8 @@ use std::ops::RangeInclusive;
 /// Windows that are compared to find the plane, over all views, and to find points on it.
 const SAMPLES: usize = 8_000;
 const PIXELS: usize = 30_000;
+/// Distance between the values of a window (px): a road shows little in few pixels.
+const SPACING: f64 = 1.5;
 /// Least correlation with a neighbour of a window that agrees.
 const AGREES: f32 = 0.7;
 /// It must be larger by this than on planes that are farther and nearer by a factor: what hardly moves between two views agrees on all of them.
@@ -99,11 +101,18 @@ impl std::fmt::Display for Prominence {
 }
 
 impl Ground {
-    /// `None` where no plane stands out; and how clear the best one is.
+    /// By cameras that look the same way, or else by all that stand near each other: fewer windows agree by chance among the first, but there may be
+    /// few of them. `None` where no plane stands out; and how clear the best one is.
     pub(crate) fn find(pictures: &Pictures) -> (Option<Self>, Prominence) {
-        let Some((plane, prominence)) = Plane::find(pictures) else { return (None, Prominence::default()) };
-        let ground = prominence.stands_out().then(|| Self::new(plane, plane.points(pictures)));
-        (ground.flatten(), prominence)
+        let mut last = Prominence::default();
+        for neighbours in [&pictures.alike, &pictures.around] {
+            let Some((plane, prominence)) = Plane::find(pictures, neighbours) else { break };
+            last = prominence;
+            if prominence.stands_out() {
+                return (Self::new(plane, plane.points(pictures)), prominence);
+            }
+        }
+        (None, last)
     }
 
     fn new(plane: Plane, points: Vec<StereoPoint>) -> Option<Self> {
@@ -137,10 +146,11 @@ impl Ground {
 
 impl Plane {
     /// The plane with the largest support; `None` of cameras that are all at one place.
-    fn find(pictures: &Pictures) -> Option<(Self, Prominence)> {
+    fn find(pictures: &Pictures, neighbours: &[Vec<usize>]) -> Option<(Self, Prominence)> {
         let samples = samples(pictures, SAMPLES);
-        let support =
-            |plane: &Self| samples.par_iter().map(|s| plane.witnesses(pictures, s, STRETCH)).sum::<usize>();
+        let support = |plane: &Self| {
+            samples.par_iter().map(|s| plane.witnesses(pictures, neighbours, s, STRETCH)).sum::<usize>()
+        };
         let tried: Vec<(usize, Self)> =
             level_planes(&pictures.grey)?.map(|plane| (support(&plane), plane)).collect();
         let at = (0..tried.len()).max_by_key(|&at| tried[at].0)?;
@@ -163,15 +173,21 @@ impl Plane {
     fn points(&self, pictures: &Pictures) -> Vec<StereoPoint> {
         let point = |sample: Sample| {
             let depth = self.depth(&pictures.grey[sample.view].camera, sample.pixel)?;
-            (self.witnesses(pictures, &sample, f64::INFINITY) > 0)
+            (self.witnesses(pictures, &pictures.around, &sample, f64::INFINITY) > 0)
                 .then(|| pictures.point(sample.view, sample.pixel, depth))
         };
         samples(pictures, PIXELS).into_par_iter().filter_map(point).collect()
     }
 
-    /// Neighbours of the sample's view that show what its window shows on the plane, and less of it a little before and behind. Views in which the
+    /// Those of the `neighbours` of the sample's view that show what its window shows on the plane, and less of it a little before and behind. Views in which the
     /// window's area differs by more than a factor do not count.
-    fn witnesses(&self, pictures: &Pictures, sample: &Sample, stretch: f64) -> usize {
+    fn witnesses(
+        &self,
+        pictures: &Pictures,
+        neighbours: &[Vec<usize>],
+        sample: &Sample,
+        stretch: f64,
+    ) -> usize {
         let camera = &pictures.grey[sample.view].camera;
         let Some(depth) = self.depth(camera, sample.pixel) else { return 0 };
         let patch = |depth: f64| Patch::new(camera, sample.pixel, depth, self.normal);
@@ -190,7 +206,7 @@ impl Plane {
             };
             correlation(other, &here).is_some_and(|found| found > AGREES && less(found))
         };
-        pictures.others(sample.view).filter(agrees).count()
+        pictures.of(&neighbours[sample.view]).filter(agrees).count()
     }
 
     /// Tilted by small angles about the point beneath `middle`, which moves down by a share of its distance.
@@ -227,7 +243,7 @@ fn samples(pictures: &Pictures, count: usize) -> Vec<Sample> {
         let [columns, rows] = grid(pictures.grey[view].camera.size(), stride);
         let sample = move |place: usize| {
             let pixel = pixel(place, columns, stride);
-            let window = pictures.grey[view].own_window(pixel)?;
+            let window = pictures.grey[view].own_window(pixel, SPACING)?;
             (!pictures.is_foreground(view, pixel)).then_some(Sample { view, pixel, window })
         };
         (0..columns * rows).filter_map(sample)

@@ -6,6 +6,7 @@
 mod beside;
 mod camera_lists;
 mod conversion;
+mod depth_maps;
 mod error;
 mod extraction;
 mod foreground;
@@ -18,6 +19,7 @@ mod masks;
 mod networks;
 #[cfg(test)]
 mod painted;
+mod patch_match;
 mod pictures;
 mod points;
 mod preparation;
@@ -29,7 +31,7 @@ mod rows;
 mod spread;
 mod stereo;
 mod surfaces;
-mod sweep;
+mod thinning;
 mod timing;
 mod tracker_list;
 mod tracking;

@@ -1,10 +1,10 @@
 //! Initial points: matched features and surfaces, the ground, the visual hull for what moves, and samples spread in depth for the rest.
 
+use crate::depth_maps::DepthMaps;
 use crate::free_space::FreeSpace;
 use crate::ground::{Ground, Prominence};
 use crate::rows::{Row, row};
 use crate::stereo::{self, StereoPoint};
-use crate::sweep::Sweeps;
 use crate::views::{View, load};
 use crate::windows::Pictures;
 use crate::{PrepareError, Progress};
@@ -54,36 +54,36 @@ pub(crate) fn make(
     Ok(text)
 }
 
-/// Points of the calibration, or matched features, those of plane sweeps and those of the ground. Those of the calibration are kept as they are. Left out are
-/// features that sweeps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
+/// Points of the calibration, or matched features, those of depth maps and those of the ground. Those of the calibration are kept as they are. Left out are
+/// features that depth maps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
 fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress) -> Matched<'a> {
     let features = if known.is_empty() { stereo::points(views) } else { Vec::new() };
     progress.advance("points", 1, PARTS);
     let pictures = Pictures::new(views);
-    let sweeps = Sweeps::new(&pictures, if known.is_empty() { &features } else { known });
-    let swept = sweeps.points();
+    let maps = DepthMaps::new(&pictures, if known.is_empty() { &features } else { known });
+    let mapped = maps.points();
     progress.advance("points", 2, PARTS);
     let (ground, prominence) = Ground::find(&pictures);
     let on_ground = ground.as_ref().map_or(&[][..], Ground::points);
     progress.advance("points", 3, PARTS);
-    let (of_features, of_sweeps) = (features.len(), swept.len());
+    let (of_features, of_maps) = (features.len(), mapped.len());
     let of_ground = (ground.as_ref().map(|_| on_ground.len()), prominence);
-    let confirmed = |p: &StereoPoint| swept.is_empty() || sweeps.confirm(p.position);
+    let confirmed = |p: &StereoPoint| mapped.is_empty() || maps.confirm(p.position);
     let mut found: Vec<StereoPoint> = features.into_iter().filter(confirmed).collect();
-    found.extend(&swept);
+    found.extend(&mapped);
     found.retain(|p| ground.as_ref().is_none_or(|ground| !ground.hides(views, p.position)));
     found.extend(on_ground);
     let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
     progress.advance("points", 4, PARTS);
-    let account = account(known.len(), of_features, of_sweeps, of_ground, points.len());
+    let account = account(known.len(), of_features, of_maps, of_ground, points.len());
     Matched { points, space, ground, account }
 }
 
-/// In words: how many points there are of the calibration, of features, of sweeps and of the ground, where one was found, and how many of these are `left`.
+/// In words: how many points there are of the calibration, of features, of depth maps and of the ground, where one was found, and how many of these are `left`.
 fn account(
     known: usize,
     features: usize,
-    swept: usize,
+    mapped: usize,
     (ground, prominence): (Option<usize>, Prominence),
     left: usize,
 ) -> String {
@@ -98,8 +98,8 @@ fn account(
         }
         None => (format!("none on the ground, as no plane stands out: {prominence}"), "in mid-air"),
     };
-    let left_out = known + features + swept + ground.unwrap_or(0) - left;
-    format!("{first}, {swept} by plane sweeps and {of_ground} ({left_out} {where_wrong} left out)")
+    let left_out = known + features + mapped + ground.unwrap_or(0) - left;
+    format!("{first}, {mapped} of depth maps and {of_ground} ({left_out} {where_wrong} left out)")
 }
 
 /// Writes points that need no others.

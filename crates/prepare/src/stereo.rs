@@ -7,9 +7,9 @@ use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Cameras that each camera is matched with.
-const NEIGHBOURS: usize = 4;
+pub(crate) const NEIGHBOURS: usize = 4;
 /// Largest angle between the axes of two cameras that are matched: upright descriptors see little beyond it.
-const WIDEST_ANGLE: f64 = 0.9;
+pub(crate) const WIDEST_ANGLE: f64 = 0.9;
 /// Distance from an epipolar line in parts of the image's width, at least a pixel and a half.
 const LINE: f64 = 0.002;
 const LEAST_LINE_PX: f64 = 1.5;
@@ -33,22 +33,24 @@ pub(crate) fn points(views: &[View]) -> Vec<StereoPoint> {
     let config = TrackerConfig { corners: 2 * KEYPOINTS, described: KEYPOINTS, ..TrackerConfig::default() };
     let frames: Vec<Frame> = views.par_iter().map(|view| Frame::new(&view.image, None, &config)).collect();
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let found: Vec<Vec<StereoPoint>> =
-        pairs(&cameras).into_par_iter().map(|(a, b)| pair_points(views, &frames, a, b)).collect();
+    let found: Vec<Vec<StereoPoint>> = pairs(&cameras, NEIGHBOURS, WIDEST_ANGLE)
+        .into_par_iter()
+        .map(|(a, b)| pair_points(views, &frames, a, b))
+        .collect();
     found.concat()
 }
 
-/// Each camera with the nearest that look the same way, every pair once.
-pub(crate) fn pairs(cameras: &[Camera]) -> Vec<(usize, usize)> {
+/// Each camera with the `count` nearest whose axes are within an angle, every pair once.
+pub(crate) fn pairs(cameras: &[Camera], count: usize, widest: f64) -> Vec<(usize, usize)> {
     let axis = |c: &Camera| c.rotation().transpose() * DVec3::Z;
     let mut out = Vec::new();
     for (i, a) in cameras.iter().enumerate() {
-        let fits = |j: &usize| *j != i && axis(a).angle_between(axis(&cameras[*j])) < WIDEST_ANGLE;
+        let fits = |j: &usize| *j != i && axis(a).angle_between(axis(&cameras[*j])) < widest;
         let mut others: Vec<usize> = (0..cameras.len()).filter(fits).collect();
         others.sort_by(|&j, &k| {
             a.center().distance(cameras[j].center()).total_cmp(&a.center().distance(cameras[k].center()))
         });
-        out.extend(others.into_iter().take(NEIGHBOURS).map(|j| (i.min(j), i.max(j))));
+        out.extend(others.into_iter().take(count).map(|j| (i.min(j), i.max(j))));
     }
     out.sort_unstable();
     out.dedup();

@@ -5,6 +5,7 @@
 
 use crate::ground::Ground;
 use crate::stereo::StereoPoint;
+use crate::thinning::evenly;
 use crate::views::View;
 use ffgs_core::Camera;
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
@@ -14,6 +15,9 @@ use std::num::NonZero;
 /// With fewer matched points in a view their depths say nothing of the scene, or of the foreground.
 const LEAST_STILL: usize = 100;
 const LEAST_MOVING: usize = 16;
+/// Matched points of a view that tell its depths at most, evenly chosen: where there are many, the nearest ones lie in one place, and say little
+/// of how surfaces slope.
+const MOST: usize = 1000;
 /// A point is hidden by so many that are nearer by this factor, within this share of the image's width.
 const HIDING: (usize, f64, f64) = (3, 1.05, 0.02);
 /// Matched points round a pixel that tell its depth.
@@ -66,6 +70,7 @@ impl<'a> Surfaces<'a> {
         if known.len() < least.max(1) {
             return None;
         }
+        let known = evenly(known, MOST);
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.pixel.to_array()).collect();
         Some(Self { tree: ImmutableKdTree::new_from_slice(&places).ok()?, known, floor: None })
     }

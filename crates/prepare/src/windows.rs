@@ -1,10 +1,11 @@
 //! What views have in common: windows of pixels, compared on the plane of a surface.
 
-use crate::stereo::{StereoPoint, pairs};
+use crate::stereo::{NEIGHBOURS, StereoPoint, WIDEST_ANGLE, pairs};
 use crate::views::{View, at_depth};
 use ffgs_core::{Camera, ImageRgb8, ImageSize};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
+use std::f64::consts::PI;
 
 /// Longest side at which images are compared (px): larger ones are reduced.
 const LONGEST: usize = 480;
@@ -17,15 +18,27 @@ const LEAST_CONTRAST: f32 = 0.015;
 /// Least cosine between a plane's normal and the ray: flatter views of a plane show nothing of it.
 const LEAST_COSINE: f64 = 0.08;
 
-/// Values with mean 0 and length 1.
-pub(crate) type Window = [f32; WINDOW];
+/// Neighbours that may show the same surface, wherever they look.
+const AROUND: usize = 8;
+
+/// What a view shows about a pixel.
+pub(crate) struct Window {
+    /// With mean 0 and length 1.
+    values: Values,
+    /// Distance between two of them (px).
+    spacing: f64,
+}
+
+type Values = [f32; WINDOW];
 
 /// All views, reduced to grey.
 pub(crate) struct Pictures<'a> {
     pub views: &'a [View],
     pub grey: Vec<Grey>,
-    /// (V) the neighbours of each view.
-    pub neighbours: Vec<Vec<usize>>,
+    /// (V) the nearest views of each that look the same way.
+    pub alike: Vec<Vec<usize>>,
+    /// (V) the nearest views of each, wherever they look.
+    pub around: Vec<Vec<usize>>,
 }
 
 /// A view, reduced to grey.
@@ -36,8 +49,14 @@ pub(crate) struct Grey {
     reduction: usize,
 }
 
-/// The middle of a window on a plane, and what a step of a pixel right and down from there is.
-pub(crate) struct Patch([DVec3; 3]);
+/// A piece of a plane.
+pub(crate) struct Patch {
+    /// The middle of a window, and what is a pixel right and down from there.
+    corners: [DVec3; 3],
+    normal: DVec3,
+    /// From which side it was seen: the sign of `normal . (camera - middle)`.
+    side: f64,
+}
 
 /// How a view shows a patch: the pixel of its middle, and what the steps are there (px).
 #[derive(Clone, Copy, Debug)]
@@ -57,17 +76,14 @@ impl Look {
 impl<'a> Pictures<'a> {
     pub(crate) fn new(views: &'a [View]) -> Self {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let mut neighbours = vec![Vec::new(); views.len()];
-        for (a, b) in pairs(&cameras) {
-            neighbours[a].push(b);
-            neighbours[b].push(a);
-        }
-        Self { views, grey: views.par_iter().map(Grey::new).collect(), neighbours }
+        let alike = neighbours(&cameras, NEIGHBOURS, WIDEST_ANGLE);
+        let around = neighbours(&cameras, AROUND, PI);
+        Self { views, grey: views.par_iter().map(Grey::new).collect(), alike, around }
     }
 
-    /// The neighbours of a view.
-    pub(crate) fn others(&self, view: usize) -> impl Iterator<Item = &Grey> {
-        self.neighbours[view].iter().map(|&other| &self.grey[other])
+    /// The pictures of some views.
+    pub(crate) fn of<'b>(&'b self, views: &'b [usize]) -> impl Iterator<Item = &'b Grey> {
+        views.iter().map(|&view| &self.grey[view])
     }
 
     /// Pixels from place to place of grids that have so many places over all views.
@@ -87,6 +103,16 @@ impl<'a> Pictures<'a> {
     pub(crate) fn is_foreground(&self, view: usize, pixel: DVec2) -> bool {
         self.views[view].is_foreground(self.grey[view].unreduced(pixel))
     }
+}
+
+/// (V) of each camera those that it is paired with.
+fn neighbours(cameras: &[Camera], count: usize, widest: f64) -> Vec<Vec<usize>> {
+    let mut out = vec![Vec::new(); cameras.len()];
+    for (a, b) in pairs(cameras, count, widest) {
+        out[a].push(b);
+        out[b].push(a);
+    }
+    out
 }
 
 /// Columns and rows of a grid.
@@ -109,7 +135,19 @@ impl Patch {
             let along = (middle - camera.center()).dot(normal) / cosine;
             (cosine.abs() > LEAST_COSINE && along > 0.0).then(|| camera.center() + ray * along)
         };
-        Some(Self([middle, on_plane(pixel + DVec2::X)?, on_plane(pixel + DVec2::Y)?]))
+        let corners = [middle, on_plane(pixel + DVec2::X)?, on_plane(pixel + DVec2::Y)?];
+        Some(Self { corners, normal, side: normal.dot(camera.center() - middle).signum() })
+    }
+
+    /// Angle between the rays of two cameras to its middle (radians).
+    pub(crate) fn angle(&self, a: &Camera, b: &Camera) -> f64 {
+        let [a, b] = [a, b].map(|camera| self.corners[0] - camera.center());
+        a.angle_between(b)
+    }
+
+    /// Whether a camera is on the side from which it was seen.
+    fn faces(&self, camera: &Camera) -> bool {
+        self.side * self.normal.dot(camera.center() - self.corners[0]) > 0.0
     }
 }
 
@@ -128,27 +166,25 @@ impl Grey {
         pixel * self.reduction as f64
     }
 
-    /// Between pixels; `None` at and beyond the border.
-    fn at(&self, pixel: DVec2) -> Option<f32> {
-        let width = self.camera.size().width;
-        let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
-        let inside =
-            x >= 0.0 && y >= 0.0 && x < (width - 1) as f64 && y < (self.camera.size().height - 1) as f64;
-        if !inside {
+    /// Values between pixels about a middle, with mean 0 and length 1; `None` at and beyond the border, and where it is bare.
+    fn values(&self, Look { middle, right, down }: Look, spacing: f64) -> Option<Values> {
+        let ImageSize { width, height } = self.camera.size();
+        let [first, right, down] = [middle - 0.5, right * spacing, down * spacing].map(DVec2::as_vec2);
+        let at = |x: i32, y: i32| first + right * x as f32 + down * y as f32;
+        let last = Vec2::new(width as f32, height as f32) - 1.0;
+        let inside = |p: Vec2| p.cmpge(Vec2::ZERO).all() && p.cmplt(last).all();
+        if ![-RADIUS, RADIUS].into_iter().all(|y| inside(at(-RADIUS, y)) && inside(at(RADIUS, y))) {
             return None;
         }
-        let (u, v) = (x.fract() as f32, y.fract() as f32);
-        let first = y as usize * width + x as usize;
-        let row = |from: usize| self.values[from] * (1.0 - u) + self.values[from + 1] * u;
-        Some(row(first) * (1.0 - v) + row(first + width) * v)
-    }
-
-    /// A window with mean 0 and length 1.
-    fn window(&self, Look { middle, right, down }: Look) -> Option<Window> {
         let mut out = [0.0; WINDOW];
         let offsets = (-RADIUS..=RADIUS).flat_map(|y| (-RADIUS..=RADIUS).map(move |x| (x, y)));
         for (value, (x, y)) in out.iter_mut().zip(offsets) {
-            *value = self.at(middle + right * f64::from(x) + down * f64::from(y))?;
+            let p = at(x, y);
+            let [column, row] = p.to_array().map(|v| v as usize);
+            let (u, v) = (p.x - column as f32, p.y - row as f32);
+            let upper = row * width + column;
+            let across = |from: usize| self.values[from] * (1.0 - u) + self.values[from + 1] * u;
+            *value = across(upper) * (1.0 - v) + across(upper + width) * v;
         }
         let mean = out.iter().sum::<f32>() / WINDOW as f32;
         out.iter_mut().for_each(|value| *value -= mean);
@@ -156,21 +192,25 @@ impl Grey {
         (length > LEAST_CONTRAST * (WINDOW as f32).sqrt()).then(|| out.map(|value| value / length))
     }
 
-    /// The window about a pixel of this view; `None` at the border and where it is bare.
-    pub(crate) fn own_window(&self, pixel: DVec2) -> Option<Window> {
-        self.window(Look { middle: pixel, right: DVec2::X, down: DVec2::Y })
+    /// The window about a pixel of this view, whose values are so far from each other (px); `None` at the border and where it is bare.
+    pub(crate) fn own_window(&self, pixel: DVec2, spacing: f64) -> Option<Window> {
+        let values = self.values(Look { middle: pixel, right: DVec2::X, down: DVec2::Y }, spacing)?;
+        Some(Window { values, spacing })
     }
 
-    /// How this view shows a patch; `None` where it does not.
-    pub(crate) fn look(&self, Patch(corners): &Patch) -> Option<Look> {
-        let [middle, right, down] = corners.map(|p| self.camera.project(p).map(|p| p.pixel));
+    /// How this view shows a patch; `None` where it does not, or from behind.
+    pub(crate) fn look(&self, patch: &Patch) -> Option<Look> {
+        if !patch.faces(&self.camera) {
+            return None;
+        }
+        let [middle, right, down] = patch.corners.map(|p| self.camera.project(p).map(|p| p.pixel));
         Some(Look { middle: middle?, right: right? - middle?, down: down? - middle? })
     }
 
     /// Correlation of another view's window with what this one shows there, -1 to 1; `None` outside of the image and where this one is bare.
     pub(crate) fn correlation(&self, look: Look, own: &Window) -> Option<f32> {
-        let there = self.window(look)?;
-        Some(own.iter().zip(there).map(|(a, b)| a * b).sum())
+        let there = self.values(look, own.spacing)?;
+        Some(own.values.iter().zip(there).map(|(a, b)| a * b).sum())
     }
 }
 
