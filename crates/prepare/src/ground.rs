@@ -101,11 +101,10 @@ impl std::fmt::Display for Prominence {
 }
 
 impl Ground {
-    /// By cameras that look the same way, or else by all that stand near each other: fewer windows agree by chance among the first, but there may be
-    /// few of them. `None` where no plane stands out; and how clear the best one is.
+    /// By all cameras that stand near each other, or else by those of them that look the same way, of whose windows fewer agree by chance. `None` where no plane stands out; and how clear the best one is.
     pub(crate) fn find(pictures: &Pictures) -> (Option<Self>, Prominence) {
         let mut last = Prominence::default();
-        for neighbours in [&pictures.alike, &pictures.around] {
+        for neighbours in [&pictures.around, &pictures.alike] {
             let Some((plane, prominence)) = Plane::find(pictures, neighbours) else { break };
             last = prominence;
             if prominence.stands_out() {
