@@ -101,7 +101,8 @@ impl std::fmt::Display for Prominence {
 }
 
 impl Ground {
-    /// By all cameras that stand near each other, or else by those of them that look the same way, of whose windows fewer agree by chance. `None` where no plane stands out; and how clear the best one is.
+    /// By all cameras that stand near each other, or else by those of them that look the same way, of whose windows fewer agree by chance.
+    /// `None` where no plane stands out; and how clear the best one is.
     pub(crate) fn find(pictures: &Pictures) -> (Option<Self>, Prominence) {
         let mut last = Prominence::default();
         for neighbours in [&pictures.around, &pictures.alike] {
@@ -178,8 +179,8 @@ impl Plane {
         samples(pictures, PIXELS).into_par_iter().filter_map(point).collect()
     }
 
-    /// Those of the `neighbours` of the sample's view that show what its window shows on the plane, and less of it a little before and behind. Views in which the
-    /// window's area differs by more than a factor do not count.
+    /// How many of the `neighbours` of the sample's view show what its window shows on the plane, and less of it a little before and behind.
+    /// Views in which the window's area differs by more than a factor do not count.
     fn witnesses(
         &self,
         pictures: &Pictures,
