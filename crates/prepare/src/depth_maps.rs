@@ -1,5 +1,6 @@
 //! Depth maps of all views, and the points on which they agree.
 
+use crate::connected::connected;
 use crate::patch_match::{PatchMatch, Plane};
 use crate::stereo::StereoPoint;
 use crate::thinning::evenly;
@@ -24,7 +25,7 @@ const STEPS: f64 = 192.0;
 /// Connected places of a smaller area (px^2), about two windows, must be found by so many neighbours: windows that resemble each other by chance do
 /// so in both views, but those beside them do not.
 const SPECK: f64 = 100.0;
-const FINDING_SPECKS: usize = 2;
+const SPECK_NEIGHBOURS: usize = 2;
 /// Views that must have found the place of a point that was found in another way: the two that it was matched in.
 const CONFIRMING: usize = 2;
 /// Largest difference to what another view found (steps).
@@ -80,7 +81,7 @@ impl<'a> DepthMaps<'a> {
     fn point(&self, view: usize, place: usize) -> Option<StereoPoint> {
         let (pixel, depth) = self.maps[view].at(place)?;
         let point = self.pictures.point(view, pixel, depth);
-        let least = if self.maps[view].area[place] < SPECK { FINDING_SPECKS } else { 1 };
+        let least = if self.maps[view].area[place] < SPECK { SPECK_NEIGHBOURS } else { 1 };
         let mut finders =
             self.pictures.around[view].iter().filter(|&&other| self.finds(other, point.position));
         finders.nth(least - 1).is_some().then_some(point)
@@ -152,37 +153,18 @@ impl DepthMap {
     }
 }
 
-/// Of each place, how many are connected with it by inverse depths (1/m) that differ by less than `like` from one place to the next.
+/// Of each place, how many are connected with it by inverse depths (1/m) that differ by less than `like` from one place to the next; 0 where
+/// nothing was found.
 fn pieces(inverse: &[f64], columns: usize, like: f64) -> Vec<usize> {
     let mut sizes = vec![0; inverse.len()];
+    let mut seen: Vec<bool> = inverse.iter().map(|value| value.is_nan()).collect();
     for start in 0..inverse.len() {
-        if sizes[start] > 0 || inverse[start].is_nan() {
-            continue;
+        if !seen[start] {
+            let piece = connected(start, columns, &mut seen, |a, b| (inverse[a] - inverse[b]).abs() < like);
+            piece.iter().for_each(|&i| sizes[i] = piece.len());
         }
-        let mut piece = vec![start];
-        sizes[start] = 1;
-        let mut next = 0;
-        while let Some(&at) = piece.get(next) {
-            next += 1;
-            for other in beside(at, columns, inverse.len()) {
-                if sizes[other] == 0 && (inverse[other] - inverse[at]).abs() < like {
-                    sizes[other] = 1;
-                    piece.push(other);
-                }
-            }
-        }
-        piece.iter().for_each(|&i| sizes[i] = piece.len());
     }
     sizes
-}
-
-/// The places left and right of one, above and below it.
-fn beside(at: usize, columns: usize, places: usize) -> impl Iterator<Item = usize> {
-    let column = at % columns;
-    let left = (column > 0).then(|| at - 1);
-    let right = (column + 1 < columns).then_some(at + 1);
-    let below = Some(at + columns).filter(|&i| i < places);
-    [left, right, at.checked_sub(columns), below].into_iter().flatten()
 }
 
 /// See [`DepthMap::step`]; larger where that would be too many steps to the nearest depth (m).

@@ -5,6 +5,7 @@
 
 mod beside;
 mod camera_lists;
+mod connected;
 mod conversion;
 mod depth_maps;
 mod error;

@@ -4,6 +4,7 @@ use crate::ground::Ground;
 use crate::hull::{Region, common_region};
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
+use crate::thinning::evenly;
 use crate::views::View;
 use ffgs_core::Camera;
 use glam::DVec2;
@@ -38,14 +39,12 @@ pub(crate) fn foreground(view: &View, views: usize, matched: &[StereoPoint]) -> 
     };
     let width = view.camera.size().width;
     let inside: Vec<usize> = (0..mask.data().len()).filter(|&i| mask.data()[i] > 0).collect();
-    let count = MOVING.div_ceil(views).min(inside.len());
-    let point = |k: usize| {
-        let i = inside[k * inside.len() / count];
+    let point = |i: usize| {
         let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let colour = view.colour(pixel);
         StereoPoint { position: view.at_depth(pixel, 1.0 / surfaces.inverse_depth(pixel, colour)), colour }
     };
-    (0..count).into_par_iter().map(point).collect()
+    evenly(inside, MOVING.div_ceil(views)).into_par_iter().map(point).collect()
 }
 
 /// The `i`-th sample of a view: a low-discrepancy pixel, so that few samples cover the picture.

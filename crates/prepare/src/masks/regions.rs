@@ -1,5 +1,6 @@
 //! Connected regions of masks.
 
+use crate::connected::connected;
 use ffgs_core::{ImageSize, Mask};
 
 /// The surroundings of a mask reach as far as this share of the image's diagonal.
@@ -42,38 +43,14 @@ fn kept(mask: &Mask, value: u8, keep: impl Fn(&[usize]) -> bool) -> Mask {
     let mut seen = vec![false; data.len()];
     for start in 0..data.len() {
         if !seen[start] && mask.data()[start] == value {
-            let region = region_at(mask, start, &mut seen);
+            let same = |_, i: usize| mask.data()[i] == value;
+            let region = connected(start, size.width, &mut seen, same);
             if !keep(&region) {
                 region.iter().for_each(|&i| data[i] = 1 - value);
             }
         }
     }
     Mask::new(size, data).expect("the length is that of the mask")
-}
-
-fn region_at(mask: &Mask, start: usize, seen: &mut [bool]) -> Vec<usize> {
-    let ImageSize { width, height } = mask.size();
-    let value = mask.data()[start];
-    let mut region = vec![start];
-    seen[start] = true;
-    let mut next = 0;
-    while next < region.len() {
-        let (x, y) = (region[next] % width, region[next] / width);
-        next += 1;
-        let beside = [
-            (x > 0).then(|| y * width + x - 1),
-            (x + 1 < width).then(|| y * width + x + 1),
-            (y > 0).then(|| (y - 1) * width + x),
-            (y + 1 < height).then(|| (y + 1) * width + x),
-        ];
-        for i in beside.into_iter().flatten() {
-            if !seen[i] && mask.data()[i] == value {
-                seen[i] = true;
-                region.push(i);
-            }
-        }
-    }
-    region
 }
 
 #[cfg(test)]
