@@ -1,7 +1,7 @@
-//! Depth maps of all views, and the points on which they agree.
+//! Depth maps of all views, and the points on which they agree: of all they show, and closer ones of what moves.
 
-use crate::connected::connected;
-use crate::patch_match::{PatchMatch, Plane};
+use crate::patch_match::{Limits, PatchMatch, Plane};
+use crate::silhouettes::Silhouettes;
 use crate::stereo::StereoPoint;
 use crate::thinning::evenly;
 use crate::windows::{Grey, Pictures, grid, pixel};
@@ -12,20 +12,15 @@ use rayon::prelude::*;
 /// Places at which depths are sought, over all views, and in a view at least.
 const PLACES: usize = 100_000;
 const LEAST_PLACES: usize = 4_000;
-/// Points at most.
-const MOST: usize = 30_000;
-/// Least score of a plane.
-const LEAST_SCORE: f32 = 0.75;
-/// It must be better by this than at any depth that is not beside it.
-const DISTINCT: f32 = 0.05;
+/// Places in masks, over all views.
+const MOVING_PLACES: usize = 40_000;
+/// What is asked of planes. Of what moves the masks tell much already.
+const ANY: Rules = Rules { least_score: 0.75, distinct: 0.05, most: 30_000 };
+const MOVING: Rules = Rules { least_score: 0.6, distinct: 0.0, most: 15_000 };
 /// Steps of depths beside it.
 const BESIDE: f64 = 3.5;
 /// Steps of depth at most.
 const STEPS: f64 = 192.0;
-/// Connected places of a smaller area (px^2), about two windows, must be found by so many neighbours: windows that resemble each other by chance do
-/// so in both views, but those beside them do not.
-const SPECK: f64 = 100.0;
-const SPECK_NEIGHBOURS: usize = 2;
 /// Views that must have found the place of a point that was found in another way: the two that it was matched in.
 const CONFIRMING: usize = 2;
 /// Largest difference to what another view found (steps).
@@ -37,6 +32,15 @@ const KNOWN_NEAREST: (f64, f64) = (0.02, 0.5);
 /// Fewest known points in a view that say how near things are.
 const LEAST_KNOWN: usize = 20;
 
+/// What is asked of planes.
+struct Rules {
+    least_score: f32,
+    /// A score must be better by this than at any depth that is not beside it.
+    distinct: f32,
+    /// Points at most.
+    most: usize,
+}
+
 /// What was found at a grid of a view's pixels.
 struct DepthMap {
     stride: f64,
@@ -45,46 +49,65 @@ struct DepthMap {
     step: f64,
     /// Inverse depth (1/m) per place of the grid; NaN where nothing was found.
     inverse: Vec<f64>,
-    /// Area (px^2) of the connected places of like depths to which a place belongs.
-    area: Vec<f64>,
 }
 
 /// The depth maps of all views.
 pub(crate) struct DepthMaps<'a> {
     pictures: &'a Pictures<'a>,
+    rules: Rules,
     maps: Vec<DepthMap>,
 }
 
 impl<'a> DepthMaps<'a> {
-    /// `known` points say how near things are.
-    pub(crate) fn new(pictures: &'a Pictures, known: &[StereoPoint]) -> Self {
-        let cameras: Vec<Camera> = pictures.grey.iter().map(|view| view.camera).collect();
-        let places = PLACES.max(LEAST_PLACES * cameras.len());
-        let stride = pictures.stride(places);
+    /// Of all that the views show. `known` points say how near things are; `tick` is called after each view.
+    pub(crate) fn new(pictures: &'a Pictures, known: &[StereoPoint], tick: &dyn Fn()) -> Self {
+        let views = pictures.grey.len();
+        let stride = pictures.stride(PLACES.max(LEAST_PLACES * views));
         let map = |view: usize| {
-            let others: Vec<&Grey> = pictures.of(&pictures.around[view]).collect();
-            let nearest = nearest(&cameras, view, &pictures.around[view], known);
-            DepthMap::find(&pictures.grey[view], others, nearest, stride)
+            let nearest = 1.0 / nearest(pictures, view, known);
+            let limits = Limits { nearest, sought: &|_| true, possible: &|_| true };
+            let map = DepthMap::find(pictures, view, stride, limits, &ANY);
+            tick();
+            map
         };
-        Self { pictures, maps: (0..cameras.len()).map(map).collect() }
+        Self { pictures, rules: ANY, maps: (0..views).map(map).collect() }
     }
 
-    /// Places that a view and its neighbours found: one of these, or more where the place belongs to a small piece.
+    /// Of what the masks show, at places that most of them hold. For `known` and `tick` see [`DepthMaps::new`].
+    pub(crate) fn moving(
+        pictures: &'a Pictures,
+        silhouettes: &Silhouettes,
+        known: &[StereoPoint],
+        tick: &dyn Fn(),
+    ) -> Self {
+        let views = pictures.grey.len();
+        let area: f64 = (0..views).map(|view| pictures.foreground_area(view)).sum();
+        let stride = (area / MOVING_PLACES as f64).sqrt().max(1.0);
+        let map = |view: usize| {
+            let nearest = 1.0 / nearest(pictures, view, known);
+            let sought = |pixel| pictures.is_foreground(view, pixel);
+            let limits = Limits { nearest, sought: &sought, possible: &|place| silhouettes.hold(place) };
+            let map = DepthMap::find(pictures, view, stride, limits, &MOVING);
+            tick();
+            map
+        };
+        Self { pictures, rules: MOVING, maps: (0..views).map(map).collect() }
+    }
+
+    /// Places that a view and one of its neighbours found.
     pub(crate) fn points(&self) -> Vec<StereoPoint> {
         let of_view = |view: usize| {
             let places = 0..self.maps[view].inverse.len();
             places.filter_map(move |place| self.point(view, place))
         };
-        evenly((0..self.maps.len()).into_par_iter().flat_map_iter(of_view).collect(), MOST)
+        evenly((0..self.maps.len()).into_par_iter().flat_map_iter(of_view).collect(), self.rules.most)
     }
 
     fn point(&self, view: usize, place: usize) -> Option<StereoPoint> {
         let (pixel, depth) = self.maps[view].at(place)?;
         let point = self.pictures.point(view, pixel, depth);
-        let least = if self.maps[view].area[place] < SPECK { SPECK_NEIGHBOURS } else { 1 };
-        let mut finders =
-            self.pictures.around[view].iter().filter(|&&other| self.finds(other, point.position));
-        finders.nth(least - 1).is_some().then_some(point)
+        let mut neighbours = self.pictures.around[view].iter();
+        neighbours.any(|&other| self.finds(other, point.position)).then_some(point)
     }
 
     /// Whether a place that was found in another way was found by enough views.
@@ -97,38 +120,38 @@ impl<'a> DepthMaps<'a> {
     }
 }
 
-/// The nearest depth (m).
-fn nearest(cameras: &[Camera], view: usize, neighbours: &[usize], known: &[StereoPoint]) -> f64 {
-    let camera = &cameras[view];
+/// The nearest depth (m) in a view.
+fn nearest(pictures: &Pictures, view: usize, known: &[StereoPoint]) -> f64 {
+    let camera = &pictures.grey[view].camera;
     let seen = known.iter().filter_map(|point| camera.project(point.position));
     let mut depths: Vec<f64> = seen.filter(|p| camera.shows(p.pixel)).map(|p| p.depth).collect();
     if depths.len() >= LEAST_KNOWN {
         depths.sort_by(f64::total_cmp);
         return KNOWN_NEAREST.1 * depths[(KNOWN_NEAREST.0 * depths.len() as f64) as usize];
     }
-    let distance = |&other: &usize| cameras[other].center().distance(camera.center());
-    NEAREST * neighbours.iter().map(distance).fold(f64::INFINITY, f64::min)
+    let distances = pictures.of(&pictures.around[view]).map(|o| o.camera.center().distance(camera.center()));
+    NEAREST * distances.fold(f64::INFINITY, f64::min)
 }
 
 impl DepthMap {
     /// Of a view; nothing where it has no neighbours, or all of them are where it is.
-    fn find(view: &Grey, others: Vec<&Grey>, nearest: f64, stride: f64) -> Self {
+    fn find(pictures: &Pictures, view: usize, stride: f64, limits: Limits, rules: &Rules) -> Self {
+        let others: Vec<&Grey> = pictures.of(&pictures.around[view]).collect();
+        let view = &pictures.grey[view];
         let [columns, _] = grid(view.camera.size(), stride);
-        if !(nearest.is_finite() && nearest > 0.0) {
-            return Self { stride, columns, step: f64::NAN, inverse: Vec::new(), area: Vec::new() };
+        if !(limits.nearest.is_finite() && limits.nearest > 0.0) {
+            return Self { stride, columns, step: f64::NAN, inverse: Vec::new() };
         }
-        let step = step(view, &others, nearest);
-        let search = PatchMatch::new(view, others, stride, 1.0 / nearest);
+        let step = step(view, &others, limits.nearest);
+        let search = PatchMatch::new(view, others, stride, limits);
         let planes = search.planes();
         let found = |(place, plane): (usize, &Plane)| {
-            let good =
-                plane.score > LEAST_SCORE && search.is_distinct(place, *plane, (step, BESIDE), DISTINCT);
+            let good = plane.score > rules.least_score
+                && search.is_distinct(place, *plane, (step, BESIDE), rules.distinct);
             if good { plane.inverse } else { f64::NAN }
         };
-        let inverse: Vec<f64> = planes.par_iter().enumerate().map(found).collect();
-        let area =
-            pieces(&inverse, columns, SAME * step).into_iter().map(|n| n as f64 * stride * stride).collect();
-        Self { stride, columns, step, inverse, area }
+        let inverse = planes.par_iter().enumerate().map(found).collect();
+        Self { stride, columns, step, inverse }
     }
 
     /// Pixel and depth (m) of what was found at a place.
@@ -153,38 +176,25 @@ impl DepthMap {
     }
 }
 
-/// Of each place, how many are connected with it by inverse depths (1/m) that differ by less than `like` from one place to the next; 0 where
-/// nothing was found.
-fn pieces(inverse: &[f64], columns: usize, like: f64) -> Vec<usize> {
-    let mut sizes = vec![0; inverse.len()];
-    let mut seen: Vec<bool> = inverse.iter().map(|value| value.is_nan()).collect();
-    for start in 0..inverse.len() {
-        if !seen[start] {
-            let piece = connected(start, columns, &mut seen, |a, b| (inverse[a] - inverse[b]).abs() < like);
-            piece.iter().for_each(|&i| sizes[i] = piece.len());
-        }
-    }
-    sizes
-}
-
-/// See [`DepthMap::step`]; larger where that would be too many steps to the nearest depth (m).
+/// See [`DepthMap::step`]; larger where that would be too many steps to the largest inverse depth (1/m).
 fn step(view: &Grey, others: &[&Grey], nearest: f64) -> f64 {
     let distances = others.iter().map(|o| o.camera.center().distance(view.camera.center()));
     let pixel = 1.0 / (view.camera.intrinsics().focal() * distances.fold(0.0, f64::max));
-    pixel.max(1.0 / (nearest * STEPS))
+    pixel.max(nearest / STEPS)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::painted::{FLOOR, SIZE, WALL, noise, painted, view};
-    use crate::views::View;
+    use crate::views::{View, at_depth};
+    use ffgs_core::Mask;
 
     #[test]
     fn a_wall_and_a_floor_are_found_where_they_are() {
         let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
         let pictures = Pictures::new(&views);
-        let maps = DepthMaps::new(&pictures, &[]);
+        let maps = DepthMaps::new(&pictures, &[], &|| {});
         let found = maps.points();
         assert!(found.len() > 5 * SIZE.pixels() / 4, "{} points", found.len());
         let away = |p: &StereoPoint| (p.position.z - WALL).abs().min((p.position.y - FLOOR).abs());
@@ -202,7 +212,7 @@ mod tests {
     #[test]
     fn noise_and_bare_walls_give_next_to_nothing() {
         let noise: Vec<_> = (0..5).map(|i| view(i, |_, pixel| noise(i, pixel))).collect();
-        let found = |views: &[View]| DepthMaps::new(&Pictures::new(views), &[]).points().len();
+        let found = |views: &[View]| DepthMaps::new(&Pictures::new(views), &[], &|| {}).points().len();
         assert!(found(&noise) < SIZE.pixels() / 50, "{} points in noise", found(&noise));
         let bare: Vec<_> = (0..5).map(|i| view(i, |_, _| 0.6)).collect();
         assert_eq!([found(&bare), found(&bare[..1]), found(&[])], [0; 3]);
@@ -211,29 +221,39 @@ mod tests {
     #[test]
     fn two_views_are_enough() {
         let views: Vec<_> = [0, 2].into_iter().map(|i| view(i, painted)).collect();
-        let found = DepthMaps::new(&Pictures::new(&views), &[]).points();
+        let found = DepthMaps::new(&Pictures::new(&views), &[], &|| {}).points();
         assert!(found.len() > SIZE.pixels() / 4, "{} points", found.len());
         let away = |p: &StereoPoint| (p.position.z - WALL).abs().min((p.position.y - FLOOR).abs());
         let right = found.iter().filter(|p| away(p) < 0.05 * p.position.z).count();
         assert!(right > found.len() * 3 / 4, "{right} of {} points", found.len());
     }
 
+    /// A square of the wall, seen by masks, in a picture whose rest is bare.
     #[test]
-    fn pieces_are_connected_places_of_like_depths() {
-        let nan = f64::NAN;
-        #[rustfmt::skip]
-        let inverse = [
-            1.0, 1.1, nan, 5.0,
-            9.0, 1.2, nan, 5.1,
-            9.0, nan, 1.2, nan,
-        ];
-        #[rustfmt::skip]
-        let sizes = [
-            3, 3, 0, 2,
-            2, 3, 0, 2,
-            2, 0, 1, 0,
-        ];
-        assert_eq!(pieces(&inverse, 4, 0.15), sizes);
-        assert!(pieces(&[], 4, 0.15).is_empty());
+    fn what_moves_is_found_in_its_masks() {
+        let shade = |p: DVec3, _: usize| if is_square(p) { painted(p, 0) } else { 0.6 };
+        let masked = |i: usize| {
+            let view = view(i, shade);
+            let inside = |p: usize| {
+                let pixel = DVec2::new((p % SIZE.width) as f64 + 0.5, (p / SIZE.width) as f64 + 0.5);
+                u8::from(is_square(at_depth(&view.camera, pixel, WALL)))
+            };
+            let mask = Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).unwrap();
+            View { mask: Some(mask), ..view }
+        };
+        let views: Vec<_> = (0..5).map(masked).collect();
+        let pictures = Pictures::new(&views);
+        let silhouettes = Silhouettes::new(&views).unwrap();
+        let ticks = std::cell::Cell::new(0);
+        let tick = || ticks.set(ticks.get() + 1);
+        let found = DepthMaps::moving(&pictures, &silhouettes, &[], &tick).points();
+        assert_eq!(ticks.get(), 5);
+        assert!(found.len() > 500, "{} points", found.len());
+        let right = found.iter().filter(|p| (p.position.z - WALL).abs() < 0.05 * WALL).count();
+        assert!(right > found.len() * 9 / 10, "{right} of {} points", found.len());
+    }
+
+    fn is_square(p: DVec3) -> bool {
+        p.z > 0.9 * WALL && (p.x - 0.2).abs() < 0.8 && (p.y + 0.5).abs() < 0.8
     }
 }

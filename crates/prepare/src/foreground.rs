@@ -4,6 +4,7 @@
 //! A visual hull is larger than what it holds: it reaches along the rays where few directions look, and has phantoms where the cones of
 //! different things meet. So it only fills what nothing more certain explains.
 
+use crate::free_space::FreeSpace;
 use crate::hull::{Hull, Silhouette, common_region, hull};
 use crate::rows::{Row, row};
 use crate::spread;
@@ -24,8 +25,8 @@ pub(crate) struct Foreground {
     pub hull: Vec<Row>,
 }
 
-/// Points that complete those that were `matched`; none without masks of at least two views.
-pub(crate) fn complete(views: &[View], matched: &[StereoPoint]) -> Foreground {
+/// Points that complete those that were `matched`; none without masks of at least two views. Left out are those that views look through.
+pub(crate) fn complete(views: &[View], matched: &[StereoPoint], space: &FreeSpace) -> Foreground {
     let silhouettes: Vec<Silhouette> =
         views.iter().filter_map(|v| Some(Silhouette { camera: v.camera, mask: v.mask.clone()? })).collect();
     if silhouettes.len() < 2 || silhouettes.iter().all(|s| s.mask.count() == 0) {
@@ -41,6 +42,7 @@ pub(crate) fn complete(views: &[View], matched: &[StereoPoint]) -> Foreground {
         let mut unexplained = Unexplained::new(view)?;
         let mut points = spread::foreground(view, views.len(), &matched);
         points.retain(|p| near(p.position));
+        let points = space.keep_alike(points);
         unexplained.explain(&points);
         Some((unexplained, points))
     };

@@ -29,6 +29,7 @@ mod removal;
 mod request;
 mod rig;
 mod rows;
+mod silhouettes;
 mod spread;
 mod stereo;
 mod surfaces;

@@ -26,6 +26,8 @@ const ALONE: f32 = 0.1;
 /// Largest ratio of the areas in which two views show a patch, and largest angle between their rays to it (radians): beyond them surfaces look different.
 const STRETCH: f64 = 4.0;
 const WIDEST: f64 = FRAC_PI_4;
+/// How often a depth is drawn, until a surface can be there.
+const DRAWS: usize = 100;
 /// Distance between the values of a window (px).
 const SPACING: f64 = 1.0;
 
@@ -39,12 +41,22 @@ pub(crate) struct Plane {
     pub score: f32,
 }
 
+/// What a search is limited to.
+#[derive(Clone, Copy)]
+pub(crate) struct Limits<'a> {
+    /// Largest inverse depth (1/m).
+    pub nearest: f64,
+    /// Whether a pixel's plane is sought.
+    pub sought: &'a (dyn Fn(DVec2) -> bool + Sync),
+    /// Whether a surface can be at a place.
+    pub possible: &'a (dyn Fn(DVec3) -> bool + Sync),
+}
+
 /// A view among its neighbours.
 pub(crate) struct PatchMatch<'a> {
     view: &'a Grey,
     others: Vec<&'a Grey>,
-    /// Largest inverse depth (1/m).
-    nearest: f64,
+    limits: Limits<'a>,
     columns: usize,
     places: Vec<Place>,
 }
@@ -54,22 +66,23 @@ struct Place {
     pixel: DVec2,
     /// From the camera to a depth of 1 m.
     ray: DVec3,
-    /// What the view shows there; `None` where it is bare.
+    /// What the view shows there; `None` where it is bare, and where no plane is sought.
     own: Option<Window>,
 }
 
 impl<'a> PatchMatch<'a> {
-    /// Of places at distances of `stride` (px); nothing is nearer than an inverse depth (1/m).
-    pub(crate) fn new(view: &'a Grey, others: Vec<&'a Grey>, stride: f64, nearest: f64) -> Self {
+    /// Of places at distances of `stride` (px).
+    pub(crate) fn new(view: &'a Grey, others: Vec<&'a Grey>, stride: f64, limits: Limits<'a>) -> Self {
         let [columns, rows] = grid(view.camera.size(), stride);
         let axis = view.camera.rotation().row(2);
         let place = |i: usize| {
             let pixel = pixel(i, columns, stride);
             let ray = view.camera.ray(pixel);
-            Place { pixel, ray: ray / ray.dot(axis), own: view.own_window(pixel, SPACING) }
+            let own = (limits.sought)(pixel).then(|| view.own_window(pixel, SPACING)).flatten();
+            Place { pixel, ray: ray / ray.dot(axis), own }
         };
         let places = (0..columns * rows).into_par_iter().map(place).collect();
-        Self { view, others, nearest, columns, places }
+        Self { view, others, limits, columns, places }
     }
 
     /// The planes of all places, row by row.
@@ -96,14 +109,14 @@ impl<'a> PatchMatch<'a> {
         (step, beside): (f64, f64),
         margin: f32,
     ) -> bool {
-        let depths = (1..=(self.nearest / step) as usize).map(|k| k as f64 * step);
+        let depths = (1..=(self.limits.nearest / step) as usize).map(|k| k as f64 * step);
         let mut others = depths.filter(|inverse| (inverse - plane.inverse).abs() > beside * step);
         others.all(|inverse| self.plane(i, inverse, plane.normal).score < plane.score - margin)
     }
 
     fn any_plane(&self, i: usize) -> Plane {
         let mut chance = chance(i, ROUNDS);
-        self.plane(i, self.any_depth(&mut chance), self.any_normal(i, &mut chance))
+        self.plane(i, self.any_depth(i, &mut chance), self.any_normal(i, &mut chance))
     }
 
     /// The best of a place's plane, those around it and changed ones.
@@ -123,7 +136,7 @@ impl<'a> PatchMatch<'a> {
         let normal = self.any_normal(i, &mut chance);
         best = better(best, self.plane(i, best.inverse, normal));
         if round < NEW_DEPTHS {
-            best = better(best, self.plane(i, self.any_depth(&mut chance), normal));
+            best = better(best, self.plane(i, self.any_depth(i, &mut chance), normal));
         }
         best
     }
@@ -141,11 +154,21 @@ impl<'a> PatchMatch<'a> {
     fn carried(&self, plane: Plane, from: usize, to: usize) -> Option<Plane> {
         let [there, here] = [from, to].map(|i| self.places[i].ray.dot(plane.normal));
         let inverse = plane.inverse * here / there;
-        (plane.score > 0.0 && inverse <= self.nearest).then(|| self.plane(to, inverse, plane.normal))
+        (plane.score > 0.0 && inverse <= self.limits.nearest).then(|| self.plane(to, inverse, plane.normal))
     }
 
-    fn any_depth(&self, chance: &mut ChaCha8Rng) -> f64 {
-        self.nearest * chance.random_range(0.0..1.0)
+    /// One at which a surface can be, unless that is rare.
+    fn any_depth(&self, i: usize, chance: &mut ChaCha8Rng) -> f64 {
+        let mut any = || self.limits.nearest * chance.random_range(0.0..1.0);
+        let place = &self.places[i];
+        let drawn = (1..DRAWS)
+            .map(|_| any())
+            .find(|inverse| place.own.is_none() || self.is_possible(place, *inverse));
+        drawn.unwrap_or_else(any)
+    }
+
+    fn is_possible(&self, place: &Place, inverse: f64) -> bool {
+        inverse > 0.0 && (self.limits.possible)(self.view.camera.center() + place.ray / inverse)
     }
 
     /// Towards the camera.
@@ -162,7 +185,7 @@ impl<'a> PatchMatch<'a> {
 
     /// Mean correlation of the two neighbours that agree best, or, if that is more, of the best one less what it counts less.
     fn score(&self, place: &Place, inverse: f64, normal: DVec3) -> Option<f32> {
-        let own = place.own.as_ref().filter(|_| inverse > 0.0)?;
+        let own = place.own.as_ref().filter(|_| self.is_possible(place, inverse))?;
         let patch = Patch::new(&self.view.camera, place.pixel, 1.0 / inverse, normal)?;
         let correlation = |other: &&Grey| {
             let look = other.look(&patch).filter(|look| (1.0 / STRETCH..STRETCH).contains(&look.area()))?;
@@ -196,12 +219,22 @@ mod tests {
     use crate::painted::{FLOOR, SIZE, WALL, painted, view};
     use crate::windows::Pictures;
 
+    /// All pixels; no inverse depth (1/m) is larger than this.
+    fn anywhere_nearer<'a>(nearest: f64) -> Limits<'a> {
+        Limits { nearest, sought: &|_| true, possible: &|_| true }
+    }
+
     /// Of five cameras in a row, the one in the middle; what it shows at some of its pixels.
     #[test]
     fn walls_and_floors_have_their_depths_and_directions() {
         let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
         let pictures = Pictures::new(&views);
-        let search = PatchMatch::new(&pictures.grey[2], pictures.of(&[0, 1, 3, 4]).collect(), 1.0, 0.5);
+        let search = PatchMatch::new(
+            &pictures.grey[2],
+            pictures.of(&[0, 1, 3, 4]).collect(),
+            1.0,
+            anywhere_nearer(0.5),
+        );
         let planes = search.planes();
         let of_rows = |rows: std::ops::Range<usize>, normal: DVec3, inverse: &dyn Fn(f64) -> f64| {
             let places = rows.flat_map(|row| (12..60).map(move |column| row * SIZE.width + column));
@@ -218,5 +251,21 @@ mod tests {
         // The horizon is at 24 px, the focal length 60 px.
         let floor = of_rows(38..44, DVec3::NEG_Y, &|y| (y - 24.0) / 60.0 / FLOOR);
         assert!(wall > 0.8 && floor > 0.8, "right: {wall} of the wall, {floor} of the floor");
+    }
+    #[test]
+    fn planes_are_only_sought_where_a_surface_can_be() {
+        let views: Vec<_> = (0..5).map(|i| view(i, painted)).collect();
+        let pictures = Pictures::new(&views);
+        let right = |pixel: DVec2| pixel.x > 36.0;
+        let beyond = |place: DVec3| place.z > 0.8 * WALL;
+        let limits = Limits { nearest: 0.5, sought: &right, possible: &beyond };
+        let search = PatchMatch::new(&pictures.grey[2], pictures.of(&[0, 1, 3, 4]).collect(), 1.0, limits);
+        let planes = search.planes();
+        let found = || planes.iter().enumerate().filter(|(_, plane)| plane.score > 0.9);
+        assert!(found().count() > 400, "{}", found().count());
+        for (i, plane) in found() {
+            let place = &search.places[i];
+            assert!(right(place.pixel) && beyond(place.ray / plane.inverse), "{} {plane:?}", place.pixel);
+        }
     }
 }

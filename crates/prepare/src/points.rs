@@ -4,6 +4,7 @@ use crate::depth_maps::DepthMaps;
 use crate::free_space::FreeSpace;
 use crate::ground::{Ground, Prominence};
 use crate::rows::{Row, row};
+use crate::silhouettes::Silhouettes;
 use crate::stereo::{self, StereoPoint};
 use crate::views::{View, load};
 use crate::windows::Pictures;
@@ -12,9 +13,25 @@ use crate::{foreground, free_space, spread};
 use ffgs_arrays::NpzWriter;
 use ffgs_dataset::Capture;
 use glam::DVec3;
+use std::cell::Cell;
 
-/// Parts of the work, for the progress.
-const PARTS: usize = 6;
+/// Parts of the work, for the progress, beside the depth maps of every view: of all it shows, and of what moves.
+const PARTS: usize = 5;
+const MAPS: usize = 2;
+
+/// Tells how far the work is.
+struct Parts<'a> {
+    progress: &'a dyn Progress,
+    done: Cell<usize>,
+    total: usize,
+}
+
+impl Parts<'_> {
+    fn finish(&self, parts: usize) {
+        self.done.set(self.done.get() + parts);
+        self.progress.advance("points", self.done.get(), self.total);
+    }
+}
 
 /// Points that several views agree on.
 struct Matched<'a> {
@@ -33,12 +50,13 @@ pub(crate) fn make(
     known: &[StereoPoint],
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
-    progress.advance("points", 0, PARTS);
     let views = load(capture)?;
-    let matched = matched(&views, known, progress);
+    let parts = Parts { progress, done: Cell::new(0), total: PARTS + MAPS * views.len() };
+    parts.finish(0);
+    let matched = matched(&views, known, &parts);
     let mut rows = rows_of(&views, &matched.points);
-    let moving = foreground::complete(&views, &matched.points);
-    progress.advance("points", 5, PARTS);
+    let moving = foreground::complete(&views, &matched.points, &matched.space);
+    parts.finish(1);
     let still =
         matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground.as_ref()));
     let text = format!(
@@ -50,22 +68,29 @@ pub(crate) fn make(
     rows.extend([moving.hull, moving.spread].concat());
     rows.extend(still.iter().map(|p| row(p.position, p.colour, false)));
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
-    progress.advance("points", PARTS, PARTS);
+    parts.finish(1);
     Ok(text)
 }
 
 /// Points of the calibration, or matched features, those of depth maps and those of the ground. Those of the calibration are kept as they are. Left out are
 /// features that depth maps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
-fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress) -> Matched<'a> {
+fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Matched<'a> {
     let features = if known.is_empty() { stereo::points(views) } else { Vec::new() };
-    progress.advance("points", 1, PARTS);
+    parts.finish(1);
     let pictures = Pictures::new(views);
-    let maps = DepthMaps::new(&pictures, if known.is_empty() { &features } else { known });
-    let mapped = maps.points();
-    progress.advance("points", 2, PARTS);
+    let near = if known.is_empty() { &features } else { known };
+    let tick = || parts.finish(1);
+    let maps = DepthMaps::new(&pictures, near, &tick);
+    let mut mapped = maps.points();
+    if let Some(silhouettes) = Silhouettes::new(views) {
+        mapped.retain(|p| !on_foreground(views, p.position));
+        mapped.extend(DepthMaps::moving(&pictures, &silhouettes, near, &tick).points());
+    } else {
+        parts.finish(views.len());
+    }
     let (ground, prominence) = Ground::find(&pictures);
     let on_ground = ground.as_ref().map_or(&[][..], Ground::points);
-    progress.advance("points", 3, PARTS);
+    parts.finish(1);
     let (of_features, of_maps) = (features.len(), mapped.len());
     let of_ground = (ground.as_ref().map(|_| on_ground.len()), prominence);
     let confirmed = |p: &StereoPoint| mapped.is_empty() || maps.confirm(p.position);
@@ -74,7 +99,7 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], progress: &dyn Progress
     found.retain(|p| ground.as_ref().is_none_or(|ground| !ground.hides(views, p.position)));
     found.extend(on_ground);
     let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
-    progress.advance("points", 4, PARTS);
+    parts.finish(1);
     let account = account(known.len(), of_features, of_maps, of_ground, points.len());
     Matched { points, space, ground, account }
 }

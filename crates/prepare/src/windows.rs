@@ -2,7 +2,7 @@
 
 use crate::stereo::{NEIGHBOURS, StereoPoint, WIDEST_ANGLE, pairs};
 use crate::views::{View, at_depth};
-use ffgs_core::{Camera, ImageRgb8, ImageSize};
+use ffgs_core::{Camera, ImageRgb8, ImageSize, Mask};
 use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
 use std::f64::consts::PI;
@@ -97,6 +97,12 @@ impl<'a> Pictures<'a> {
         let grey = &self.grey[view];
         let colour = self.views[view].colour(grey.unreduced(pixel));
         StereoPoint { position: at_depth(&grey.camera, pixel, depth), colour }
+    }
+
+    /// Area (px^2) of a view's mask in the reduced view.
+    pub(crate) fn foreground_area(&self, view: usize) -> f64 {
+        let count = self.views[view].mask.as_ref().map_or(0, Mask::count);
+        count as f64 / self.grey[view].reduction.pow(2) as f64
     }
 
     /// Whether a pixel of a reduced view lies in the view's mask.

@@ -1,0 +1,72 @@
+//! Where what moves may be: places that most masks hold.
+
+use crate::views::View;
+use ffgs_core::{Camera, Mask};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Masks may be too small by this share of the image's width.
+const MARGIN: f64 = 0.005;
+/// Least share of the views that see a place, and have it in their mask: some masks miss what moves, as in fog.
+const LEAST_SHARE: f64 = 0.5;
+/// Views that must see it at least: two cones meet in many places.
+const LEAST_VIEWS: usize = 3;
+
+/// The masks of all views, with a margin.
+pub(crate) struct Silhouettes(Vec<(Camera, Mask)>);
+
+impl Silhouettes {
+    /// `None` without masks of at least two views, or where all of them are empty.
+    pub(crate) fn new(views: &[View]) -> Option<Self> {
+        let with_margin = |view: &View| {
+            let margin = (MARGIN * view.camera.size().width as f64).ceil() as usize;
+            Some((view.camera, view.mask.as_ref()?.dilated(margin)))
+        };
+        let masks: Vec<(Camera, Mask)> = views.par_iter().filter_map(with_margin).collect();
+        (masks.len() > 1 && masks.iter().any(|(_, mask)| mask.count() > 0)).then_some(Self(masks))
+    }
+
+    /// Whether a place may be of what moves.
+    pub(crate) fn hold(&self, place: DVec3) -> bool {
+        let (mut seen, mut inside) = (0, 0);
+        for (camera, mask) in &self.0 {
+            if let Some((x, y)) = camera.pixel_of(place) {
+                seen += 1;
+                inside += usize::from(mask.contains(x, y));
+            }
+        }
+        seen >= LEAST_VIEWS.min(self.0.len()) && inside as f64 >= LEAST_SHARE * seen as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::painted::{SIZE, painted, view};
+
+    /// The left half of what some views show.
+    fn left(shown: &[usize]) -> Vec<View> {
+        let half =
+            Mask::new(SIZE, (0..SIZE.pixels()).map(|i| u8::from(i % SIZE.width < SIZE.width / 2)).collect());
+        let mask = |i: usize| {
+            Some(if shown.contains(&i) { half.clone().unwrap() } else { Mask::filled(SIZE, false) })
+        };
+        (0..4).map(|i| View { mask: mask(i), ..view(i, painted) }).collect()
+    }
+
+    #[test]
+    fn most_masks_tell_where_what_moves_may_be() {
+        let held =
+            |shown: &[usize], x: f64| Silhouettes::new(&left(shown)).unwrap().hold(DVec3::new(x, 0.0, 8.0));
+        assert!(held(&[0, 1, 2, 3], -1.0) && !held(&[0, 1, 2, 3], 3.0), "all masks show it");
+        assert!(held(&[0, 3], -1.0) && !held(&[0, 3], 3.0), "half of them miss it");
+        assert!(!held(&[2], -1.0), "one view's mask is a mistake");
+        assert!(!held(&[0, 1, 2, 3], 1e6), "nobody looks there");
+    }
+
+    #[test]
+    fn without_masks_nothing_is_held() {
+        assert!(Silhouettes::new(&left(&[])).is_none());
+        assert!(Silhouettes::new(&left(&[0, 1])[..1]).is_none());
+    }
+}
