@@ -71,14 +71,14 @@ fn grown(s: &Silhouette, side: f64, middle: DVec3) -> Silhouette {
 
 /// How many views see an occupied voxel; `None` for one that is not.
 fn occupied(silhouettes: &[Silhouette], centre: DVec3, least_views: usize) -> Option<u16> {
-    let (mut seen, mut inside) = (0, 0);
-    for s in silhouettes {
-        if let Some((x, y)) = s.camera.pixel_of(centre) {
-            seen += 1;
-            inside += usize::from(s.mask.contains(x, y));
-        }
-    }
+    let (seen, inside) = views_of(silhouettes, centre);
     (seen >= least_views && inside + seen / DENIALS_PER_VIEW >= seen).then_some(seen as u16)
+}
+
+/// How many views see a place, and how many of them have it in their mask.
+pub(crate) fn views_of(silhouettes: &[Silhouette], place: DVec3) -> (usize, usize) {
+    let seen = silhouettes.iter().filter_map(|s| Some((s, s.camera.pixel_of(place)?)));
+    seen.fold((0, 0), |(seen, inside), (s, (x, y))| (seen + 1, inside + usize::from(s.mask.contains(x, y))))
 }
 
 fn bounds(hull: &Hull) -> Option<Region> {

@@ -5,7 +5,6 @@
 
 mod beside;
 mod camera_lists;
-mod connected;
 mod conversion;
 mod depth_maps;
 mod error;

@@ -1,7 +1,7 @@
 //! Where what moves may be: places that most masks hold.
 
+use crate::hull::{Silhouette, views_of};
 use crate::views::View;
-use ffgs_core::{Camera, Mask};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -13,28 +13,22 @@ const LEAST_SHARE: f64 = 0.5;
 const LEAST_VIEWS: usize = 3;
 
 /// The masks of all views, with a margin.
-pub(crate) struct Silhouettes(Vec<(Camera, Mask)>);
+pub(crate) struct Silhouettes(Vec<Silhouette>);
 
 impl Silhouettes {
     /// `None` without masks of at least two views, or where all of them are empty.
     pub(crate) fn new(views: &[View]) -> Option<Self> {
         let with_margin = |view: &View| {
             let margin = (MARGIN * view.camera.size().width as f64).ceil() as usize;
-            Some((view.camera, view.mask.as_ref()?.dilated(margin)))
+            Some(Silhouette { camera: view.camera, mask: view.mask.as_ref()?.dilated(margin) })
         };
-        let masks: Vec<(Camera, Mask)> = views.par_iter().filter_map(with_margin).collect();
-        (masks.len() > 1 && masks.iter().any(|(_, mask)| mask.count() > 0)).then_some(Self(masks))
+        let all: Vec<Silhouette> = views.par_iter().filter_map(with_margin).collect();
+        (all.len() > 1 && all.iter().any(|s| s.mask.count() > 0)).then_some(Self(all))
     }
 
     /// Whether a place may be of what moves.
     pub(crate) fn hold(&self, place: DVec3) -> bool {
-        let (mut seen, mut inside) = (0, 0);
-        for (camera, mask) in &self.0 {
-            if let Some((x, y)) = camera.pixel_of(place) {
-                seen += 1;
-                inside += usize::from(mask.contains(x, y));
-            }
-        }
+        let (seen, inside) = views_of(&self.0, place);
         seen >= LEAST_VIEWS.min(self.0.len()) && inside as f64 >= LEAST_SHARE * seen as f64
     }
 }
@@ -43,6 +37,7 @@ impl Silhouettes {
 mod tests {
     use super::*;
     use crate::painted::{SIZE, painted, view};
+    use ffgs_core::Mask;
 
     /// The left half of what some views show.
     fn left(shown: &[usize]) -> Vec<View> {

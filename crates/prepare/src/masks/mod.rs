@@ -3,6 +3,7 @@
 mod background;
 mod change;
 mod colours;
+mod connected;
 mod contact_sheet;
 mod continuation;
 mod cut;

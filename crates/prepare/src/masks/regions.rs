@@ -1,6 +1,6 @@
 //! Connected regions of masks.
 
-use crate::connected::connected;
+use super::connected::connected;
 use ffgs_core::{ImageSize, Mask};
 
 /// The surroundings of a mask reach as far as this share of the image's diagonal.
