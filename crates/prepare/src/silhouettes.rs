@@ -9,8 +9,8 @@ use rayon::prelude::*;
 const MARGIN: f64 = 0.005;
 /// Least share of the views that see a place, and have it in their mask: some masks miss what moves, as in fog.
 const LEAST_SHARE: f64 = 0.5;
-/// Views that must see it at least: two cones meet in many places.
-const LEAST_VIEWS: usize = 3;
+/// Masks that must hold it at least: of a rig whose cameras overlap in pairs, two see it.
+const LEAST_MASKS: usize = 2;
 
 /// The masks of all views, with a margin.
 pub(crate) struct Silhouettes(Vec<Silhouette>);
@@ -29,7 +29,7 @@ impl Silhouettes {
     /// Whether a place may be of what moves.
     pub(crate) fn hold(&self, place: DVec3) -> bool {
         let (seen, inside) = views_of(&self.0, place);
-        seen >= LEAST_VIEWS.min(self.0.len()) && inside as f64 >= LEAST_SHARE * seen as f64
+        inside >= LEAST_MASKS && inside as f64 >= LEAST_SHARE * seen as f64
     }
 }
 
@@ -37,7 +37,8 @@ impl Silhouettes {
 mod tests {
     use super::*;
     use crate::painted::{SIZE, painted, view};
-    use ffgs_core::Mask;
+    use ffgs_core::{Camera, Mask};
+    use glam::DMat4;
 
     /// The left half of what some views show.
     fn left(shown: &[usize]) -> Vec<View> {
@@ -57,6 +58,20 @@ mod tests {
         assert!(held(&[0, 3], -1.0) && !held(&[0, 3], 3.0), "half of them miss it");
         assert!(!held(&[2], -1.0), "one view's mask is a mistake");
         assert!(!held(&[0, 1, 2, 3], 1e6), "nobody looks there");
+    }
+
+    #[test]
+    fn where_two_views_look_both_masks_must_hold() {
+        let mut views = left(&[0, 1, 2, 3]);
+        // Two of the cameras turn round.
+        for view in &mut views[2..] {
+            let pose = DMat4::from_rotation_y(std::f64::consts::PI);
+            view.camera = Camera::new(view.camera.intrinsics(), pose, SIZE).unwrap();
+        }
+        let place = DVec3::new(-1.0, 0.0, 8.0);
+        assert!(Silhouettes::new(&views).unwrap().hold(place));
+        views[1].mask = Some(Mask::filled(SIZE, false));
+        assert!(!Silhouettes::new(&views).unwrap().hold(place), "one mask of two");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::sky::GpuSky;
 use crate::surroundings::{Surroundings, cut};
 use crate::target::{Selection, Target};
 use crate::workspace::{OPTIONS, Workspace, largest_view, shared_layers};
-use ffgs_core::Gaussians;
+use ffgs_core::{Gaussians, SkyCube};
 use ffgs_gpu::{Commands, GpuError};
 use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
@@ -209,6 +209,16 @@ impl LayerTraining for GpuLayer<'_> {
         let map = map.unwrap_or_else(|| IndexMap::identity(gaussians.len()));
         self.optimiser.replace(&gaussians, &map, (!opacities_reset, same))?;
         self.fit()
+    }
+
+    /// Decided on the host: once in a training.
+    fn revise_sky(&mut self, decide: &mut dyn FnMut(&Gaussians, &mut SkyCube)) -> Result<(), GpuError> {
+        let Self { device, around, optimiser, .. } = self;
+        let Surroundings::Trained(texels, sky) = around else { return Ok(()) };
+        texels.download(&device.gpu, sky)?;
+        decide(&optimiser.download()?, sky);
+        texels.replace(&device.gpu, sky);
+        Ok(())
     }
 
     fn must_repeat(&mut self) -> Result<bool, GpuError> {

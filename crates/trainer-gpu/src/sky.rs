@@ -81,6 +81,11 @@ impl GpuSky {
         commands.run(&kernels::SKY_ADAM, &buffers, Groups::Items(6 * self.face_size * self.face_size));
     }
 
+    /// Goes on with other texels; moments stay.
+    pub(crate) fn replace(&self, gpu: &Gpu, sky: &SkyCube) {
+        gpu.write(&self.texels, &sky.texels);
+    }
+
     /// The texels. Waits for the device.
     pub(crate) fn download(&self, gpu: &Gpu, sky: &mut SkyCube) -> Result<(), GpuError> {
         sky.texels = gpu.download(&self.texels, sky.texels.len())?;

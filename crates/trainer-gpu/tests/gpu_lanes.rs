@@ -206,6 +206,12 @@ fn the_first_frame_agrees() {
     assert!(found.gaussians.len() > start.gaussians.len() && found.gaussians.is_finite());
     let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
     assert_equal_quality("first frame", quality(&start), quality(&cpu), quality(&found));
+    let furthest = |a: &SkyCube, b: &SkyCube| {
+        let apart = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+        a.texels.iter().zip(&b.texels).map(apart).fold(0.0, f32::max)
+    };
+    assert!(furthest(&found.sky, &start.sky) > 0.1, "the sky is filled where no view sees it");
+    assert!(furthest(&found.sky, &cpu.sky) < 0.05, "{} apart", furthest(&found.sky, &cpu.sky));
 }
 
 /// Every lane on a device that cannot finish any: the error, and what it worked on must be as it was.

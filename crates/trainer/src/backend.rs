@@ -100,6 +100,12 @@ pub trait LayerTraining: Training {
         decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,
     ) -> Result<(), Self::Error>;
 
+    /// Hands the Gaussians and the sky to `decide`, which may change the sky, where it is trained.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn revise_sky(&mut self, decide: &mut dyn FnMut(&Gaussians, &mut SkyCube)) -> Result<(), Self::Error>;
+
     /// Whether some step lacked memory on the device. If so there is more of it now, the layer is back at its start, and
     /// all steps must be taken again.
     ///

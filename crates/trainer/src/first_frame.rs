@@ -3,6 +3,7 @@
 use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
 use crate::density_control::{DensityConfig, DensityControl, Split, reset_opacities};
+use crate::hidden_sky::fill_hidden;
 use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
@@ -48,6 +49,9 @@ pub struct FirstFrameConfig {
     pub opacity_reset: f32,
     /// Rate of the sky's texels.
     pub sky_rate: f32,
+    /// Share of the steps after which texels of the sky that no view sees get the colours that photographs show in their directions; 0 =
+    /// they keep their first colour.
+    pub hidden_sky: f32,
     /// Number of views that counts as few.
     pub few_views: usize,
     /// Share of the Gaussians that each step leaves out.
@@ -75,6 +79,7 @@ impl Default for FirstFrameConfig {
             gaussians_per_pixel: 0.13,
             opacity_reset: 0.0,
             sky_rate: 5e-3,
+            hidden_sky: 0.9,
             few_views: 12,
             dropout: 0.4,
             exposures: true,
@@ -134,7 +139,7 @@ pub fn train_first_frame<B: TrainBackend>(
     let task = LayerTask { sums_gradients: true, ..LayerTask::new(&mut layer, task_views, around) };
     let mut training = backend.upload_layer(task)?;
     let density = DensityControl::new(density_config(config), seed);
-    let mut rounds = Rounds { config, extent, start: points, density };
+    let mut rounds = Rounds { config, views, extent, start: points, density };
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
@@ -175,9 +180,10 @@ fn rates(c: &FirstFrameConfig, iteration: usize, extent: f32) -> LearningRates {
     }
 }
 
-/// Growth and removal of Gaussians and the reset of opacities, at their steps.
+/// Growth and removal of Gaussians, the reset of opacities and the sky where it is hidden, at their steps.
 struct Rounds<'a> {
     config: &'a FirstFrameConfig,
+    views: &'a [TrainingView],
     extent: f32,
     /// Number of Gaussians at the first step.
     start: usize,
@@ -198,6 +204,9 @@ impl Rounds<'_> {
 
     fn after_step<L: LayerTraining>(&mut self, done: usize, training: &mut L) -> Result<(), L::Error> {
         let c = self.config;
+        if done == (c.hidden_sky * c.iterations as f32) as usize {
+            training.revise_sky(&mut |gaussians, sky| fill_hidden(sky, gaussians, self.views))?;
+        }
         let share = done as f32 / c.iterations as f32;
         let reset_at = (c.opacity_reset * c.iterations as f32) as usize;
         let resets = reset_at > 0 && done == reset_at;
@@ -257,7 +266,7 @@ mod tests {
         };
         let limits = |start: usize, config: &FirstFrameConfig| {
             let density = DensityControl::new(density_config(config), 1);
-            let rounds = Rounds { config, extent: 1.0, start, density };
+            let rounds = Rounds { config, views: &[], extent: 1.0, start, density };
             [100, 300, 500, 600].map(|done| rounds.limit(done))
         };
         assert_eq!(limits(100, &config), [200, 400, 600, 600]);

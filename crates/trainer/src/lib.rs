@@ -14,6 +14,7 @@ mod dynamic_lane;
 mod exposures;
 mod first_frame;
 mod gain;
+mod hidden_sky;
 mod initialise;
 mod layer_lane;
 mod lengths;

@@ -209,15 +209,21 @@ impl Kernel for AimRow<'_> {
 
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let (face, last) = (self.face_size as f32, self.face_size.saturating_sub(2) as f32);
-        for (x, sample) in self.samples.iter_mut().enumerate() {
-            let (number, s, t) = face_coordinates(self.rays.through(x, self.y));
-            let (column, right) = between_texels(s, face, last);
-            let (row, below) = between_texels(t, face, last);
-            // Below 2^24 texels a float counts exactly, and its conversion is one instruction for a whole vector.
-            *sample = Sample { first: ((number * face + row) * face + column) as i32 as u32, right, below };
+        for (x, out) in self.samples.iter_mut().enumerate() {
+            *out = sample(self.rays.through(x, self.y), self.face_size);
         }
     }
+}
+
+/// Where a ray meets a cube.
+#[inline(always)]
+fn sample(ray: Vec3, face_size: usize) -> Sample {
+    let (face, last) = (face_size as f32, face_size.saturating_sub(2) as f32);
+    let (number, s, t) = face_coordinates(ray);
+    let (column, right) = between_texels(s, face, last);
+    let (row, below) = between_texels(t, face, last);
+    // Below 2^24 texels a float counts exactly, and its conversion is one instruction for a whole vector.
+    Sample { first: ((number * face + row) * face + column) as i32 as u32, right, below }
 }
 
 /// Lower of the two texels that `s` (-1..=1 across a face of `size`) lies between, at most `last`, and how far beyond
@@ -251,6 +257,26 @@ fn face_coordinates(d: Vec3) -> (f32, f32, f32) {
     (face, pick(-d.z * sign, d.x, d.x * sign) * inverse, pick(-d.y, d.z * sign, -d.y) * inverse)
 }
 
+/// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
+pub(crate) fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
+    let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
+    let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
+    let direction = match texel / (face_size * face_size) {
+        0 => Vec3::new(1.0, -t, -s),
+        1 => Vec3::new(-1.0, -t, s),
+        2 => Vec3::new(s, 1.0, t),
+        3 => Vec3::new(s, -1.0, -t),
+        4 => Vec3::new(s, -t, 1.0),
+        _ => Vec3::new(-s, -t, -1.0),
+    };
+    direction.normalize()
+}
+
+/// The colour of a cube in a direction, bilinear.
+pub(crate) fn sky_colour(cube: &SkyCube, direction: Vec3) -> [f32; 3] {
+    sample(direction, cube.face_size()).colour(cube)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -267,21 +293,6 @@ mod tests {
     fn cameras() -> Vec<Camera> {
         let angles = [(0.0, 0.0), (1.5, 0.1), (3.1, -0.3), (4.5, 0.0), (0.3, 1.5), (0.9, -1.4)];
         angles.map(|(yaw, pitch)| camera(yaw, pitch)).to_vec()
-    }
-
-    /// Unit direction through the centre of a texel; the inverse of [`face_coordinates`].
-    fn texel_direction(face_size: usize, texel: usize) -> Vec3 {
-        let coordinate = |i: usize| (i as f32 + 0.5) / face_size as f32 * 2.0 - 1.0;
-        let (s, t) = (coordinate(texel % face_size), coordinate(texel / face_size % face_size));
-        let direction = match texel / (face_size * face_size) {
-            0 => Vec3::new(1.0, -t, -s),
-            1 => Vec3::new(-1.0, -t, s),
-            2 => Vec3::new(s, 1.0, t),
-            3 => Vec3::new(s, -1.0, -t),
-            4 => Vec3::new(s, -t, 1.0),
-            _ => Vec3::new(-s, -t, -1.0),
-        };
-        direction.normalize()
     }
 
     /// A smooth colour in 0.2..0.8.

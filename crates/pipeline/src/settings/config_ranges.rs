@@ -44,6 +44,7 @@ const RANGES: &[(&str, Range)] = &[
     ("first_frame.gaussians_per_pixel", POSITIVE),
     ("first_frame.opacity_reset", SHARE),
     ("first_frame.sky_rate", RATE),
+    ("first_frame.hidden_sky", SHARE),
     ("first_frame.dropout", closed(0.0, 0.9)),
     ("marking.dilation", DILATION),
     ("marking.slack_share", SHARE),

@@ -79,6 +79,11 @@ impl<'a> TrainedSky<'a> {
         Self { sky, rate, behind: SkyBehind::new(), adam, gradients }
     }
 
+    /// The sky at hand.
+    pub(crate) fn texels(&mut self) -> &mut SkyCube {
+        self.sky
+    }
+
     /// Sparse in the texels that the view sees. The transmittance enters twice: the derivative holds it once, and the error
     /// of a hidden pixel is not the sky's.
     fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {

@@ -9,7 +9,7 @@ use crate::natural::expected_gain;
 use crate::prior::Penalty;
 use crate::view::{Progress, Running};
 use crate::{Adam, LearningRates, LossRegion, PhotometricLoss, Update};
-use ffgs_core::{Gaussians, ImageSize, PlanarImage};
+use ffgs_core::{Gaussians, ImageSize, PlanarImage, SkyCube};
 use ffgs_rasterizer::{Background, CpuRasterizer, Gradients, RenderOptions, RenderTape, View};
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -151,6 +151,13 @@ impl LayerTraining for CpuLayer<'_> {
         if let Some(map) = revision.map {
             self.adam.remap(&map);
             self.sums = self.sums.as_ref().map(|_| GradientSums::new(map.len()));
+        }
+        Ok(())
+    }
+
+    fn revise_sky(&mut self, decide: &mut dyn FnMut(&Gaussians, &mut SkyCube)) -> Result<(), Infallible> {
+        if let Surrounding::Trained(sky) = &mut self.around {
+            decide(self.layer, sky.texels());
         }
         Ok(())
     }
