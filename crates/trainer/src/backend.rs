@@ -88,7 +88,7 @@ pub trait Training {
 
 /// Gaussians under training on a backend. [`backward`](Training::backward) adds the derivative of the task's prior,
 /// [`step`](Training::step) moves the Gaussians that were drawn, and the sky where it is trained. Between steps
-/// [`revise`](Self::revise) may be called, at the end [`download`](Self::download). Until then the layer of the task is as it was, or of
+/// [`revise`](Self::revise) and [`revise_sky`](Self::revise_sky) may be called, at the end [`download`](Self::download). Until then the layer of the task is as it was, or of
 /// no meaning after an error.
 pub trait LayerTraining: Training {
     /// Hands the Gaussians and their gradient sums to `decide`, which may change them, and goes on with what it leaves.

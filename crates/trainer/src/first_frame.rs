@@ -232,6 +232,9 @@ impl Rounds<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::CpuBackend;
+    use crate::sky::sky_colour;
+    use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
 
     #[test]
     fn what_few_views_need_ends_with_half_as_many_again() {
@@ -284,5 +287,28 @@ mod tests {
         };
         let limits = [0, 400, 4000, 1 << 40].map(|pixels| config.for_photographs(8, pixels).max_gaussians);
         assert_eq!(limits, [1, 100, 1000, 1000]);
+    }
+
+    #[test]
+    fn the_sky_behind_the_camera_is_filled_or_stays() {
+        let size = ImageSize { width: 24, height: 16 };
+        let intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 12.0, cy: 8.0 };
+        let view = TrainingView {
+            camera: Camera::new(intrinsics, glam::DMat4::IDENTITY, size).unwrap(),
+            image: ImageRgb8::new(size, vec![51; 3 * size.pixels()]).unwrap(),
+            mask: Mask::filled(size, false),
+        };
+        let behind_after = |hidden_sky: f32| {
+            let config = FirstFrameConfig { iterations: 10, hidden_sky, ..FirstFrameConfig::default() };
+            let start = FirstFrame {
+                gaussians: crate::from_points(&[[0.0, 0.0, 2.0]], &[[0.2; 3]], 0, 0.5),
+                sky: SkyCube::filled(8, [0.9; 3]),
+            };
+            let views = std::slice::from_ref(&view);
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, views, start, 1.0, 1, &mut |_| {});
+            sky_colour(&trained.sky, glam::Vec3::NEG_Z)[0]
+        };
+        assert_eq!(behind_after(0.0), 0.9);
+        assert!((behind_after(0.9) - 0.2).abs() < 1e-3, "{}", behind_after(0.9));
     }
 }
