@@ -1,5 +1,6 @@
-// One step of Adam over a column set of `width` values per item, for the items that the step's views saw.
-// Floor: 28 B per value of those items.
+// One step of Adam over a column set of `width` values per item, for the items that the step's views saw, or for all: what they did not see
+// goes on by its momentum.
+// Floor: 28 B per value of those items, 24 B of the others.
 //
 // twin: trainer::adam::Adam
 // test: trainer-gpu/src/tests.rs::steps_of_the_optimiser_agree
@@ -11,6 +12,10 @@ struct Adam {
     stamp: u32,
     // Items at the front that stay.
     fixed: u32,
+    // Whether items that were not seen go on, and the bias correction is that of the training's steps: 0 = no.
+    coasts: u32,
+    unused: u32,
+    padding: vec2u,
     // Step size per value of an item; 0 leaves the value and its moments alone.
     rates: array<vec4f, 12>,
 }
@@ -38,11 +43,14 @@ fn adam(
     let column = at % adam_step.width;
     let rate = adam_step.rates[column / 4u][column % 4u];
     let entry = ledger[item];
-    if entry.stamp != adam_step.stamp || rate == 0.0 {
+    let seen = entry.stamp == adam_step.stamp;
+    if rate == 0.0 || !(seen || adam_step.coasts != 0u) {
         return;
     }
-    let moments = next_moments(first[at], second[at], gradient[at]);
+    // The gradient of an item that was not seen is that of an earlier step.
+    let moments = next_moments(first[at], second[at], select(0.0, gradient[at], seen));
     first[at] = moments.x;
     second[at] = moments.y;
-    parameters[at] -= step_of(moments, rate, corrections[min(entry.steps, CORRECTED_STEPS)], EPSILON);
+    let steps = select(entry.steps, adam_step.stamp, adam_step.coasts != 0u);
+    parameters[at] -= step_of(moments, rate, corrections[min(steps, CORRECTED_STEPS)], EPSILON);
 }

@@ -36,11 +36,11 @@ pub struct GpuLayer<'a> {
 
 impl<'a> GpuLayer<'a> {
     pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
-        let LayerTask { layer, columns, views, around, prior, fixed, .. } = task;
+        let LayerTask { layer, columns, views, around, prior, fixed, coasts, .. } = task;
         let gpu = &device.gpu;
         let mut workspace = Workspace::new(gpu, layer.len(), largest_view(&views))?;
         let targets = targets(&around, &workspace, &views)?;
-        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?.keeping(fixed);
+        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?.moving(fixed, coasts);
         let seen = gpu.buffer("views of each Gaussian", optimiser.scene.count as u64 * 4)?;
         let around = match around {
             Around::Sky(sky) => Surroundings::Sky(GpuSky::fixed(gpu, sky)?),
@@ -227,8 +227,8 @@ impl LayerTraining for GpuLayer<'_> {
         }
         self.workspace.grow()?;
         let scene = start(self.device, self.layer, self.columns)?;
-        let fixed = self.optimiser.fixed;
-        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?.keeping(fixed);
+        let Optimiser { fixed, coasts, .. } = self.optimiser;
+        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?.moving(fixed, coasts);
         self.stamp = 0;
         self.fit()?;
         Ok(true)

@@ -23,6 +23,10 @@ pub(crate) struct AdamUniform {
     pub stamp: u32,
     /// Items at the front that stay.
     pub fixed: u32,
+    /// Whether items that were not seen go on, and the bias correction is that of the training's steps: 0 = no.
+    pub coasts: u32,
+    pub unused: u32,
+    pub padding: [u32; 2],
     pub rates: [[f32; 4]; 12],
 }
 

@@ -27,6 +27,8 @@ pub(crate) struct Optimiser<'a> {
     columns: Columns,
     /// Gaussians at the front that stay.
     pub(crate) fixed: usize,
+    /// Whether Gaussians that a step does not draw go on by their momentum.
+    pub(crate) coasts: bool,
 }
 
 /// Zeros for the columns that move.
@@ -45,6 +47,7 @@ impl<'a> Optimiser<'a> {
         Ok(Self {
             gpu,
             fixed: 0,
+            coasts: false,
             gradients: GpuGradients::new(gpu, &scene, false)?,
             first: moments(gpu, &scene, columns)?,
             second: moments(gpu, &scene, columns)?,
@@ -56,9 +59,9 @@ impl<'a> Optimiser<'a> {
         })
     }
 
-    /// Leaves the first `fixed` Gaussians as they are.
-    pub(crate) fn keeping(self, fixed: usize) -> Self {
-        Self { fixed, ..self }
+    /// Leaves the first `fixed` Gaussians as they are, and moves others that are not drawn where it `coasts`.
+    pub(crate) fn moving(self, fixed: usize, coasts: bool) -> Self {
+        Self { fixed, coasts, ..self }
     }
 
     /// Factors of the moments by number of steps.
@@ -66,7 +69,7 @@ impl<'a> Optimiser<'a> {
         &self.corrections
     }
 
-    /// Sets the step that [`Optimiser::step`] records: 448 bytes to the device.
+    /// Sets the step that [`Optimiser::step`] records: 480 bytes to the device.
     pub(crate) fn prepare(&self, rates: &LearningRates, stamp: u32) {
         let items = self.scene.count as u32;
         let [m, o, q, s] = [rates.means, rates.opacities, rates.quats, rates.scales];
@@ -78,6 +81,9 @@ impl<'a> Optimiser<'a> {
             width: width as u32,
             stamp,
             fixed: self.fixed as u32,
+            coasts: u32::from(self.coasts),
+            unused: 0,
+            padding: [0; 2],
             rates: std::array::from_fn(|row| {
                 std::array::from_fn(|k| if row * 4 + k < width { rate(row * 4 + k) } else { 0.0 })
             }),

@@ -46,7 +46,7 @@ fn host_structs_have_the_layout_of_the_shaders() {
     );
     let twins = [
         ("Loss", host_layout!(LossUniform, size, tiles, slots, l1_factor, ssim_factor, per_sample)),
-        ("Adam", host_layout!(AdamUniform, items, width, stamp, fixed, rates)),
+        ("Adam", host_layout!(AdamUniform, items, width, stamp, fixed, coasts, unused, padding, rates)),
         ("Carry", host_layout!(CarryUniform, rows, width, dropped, padding)),
         ("Prior", prior),
         ("Natural", natural),

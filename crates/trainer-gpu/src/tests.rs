@@ -65,16 +65,23 @@ fn the_loss_and_its_gradient_agree() {
 #[test]
 #[ignore = "needs a GPU"]
 fn steps_of_the_optimiser_agree() {
+    for coasts in [false, true] {
+        steps_agree(coasts);
+    }
+}
+
+fn steps_agree(coasts: bool) {
     let gpu = Gpu::for_test();
     let mut expected = blob(50, [0.0; 3], 1.0, 3);
     let scene = GpuScene::upload(&gpu, &expected).unwrap();
-    let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap();
+    let optimiser = Optimiser::new(&gpu, scene, Columns::ALL).unwrap().moving(0, coasts);
     let mut adam = Adam::new(expected.len(), expected.sh_degree());
     let rates = LearningRates { quats: 0.0, ..LearningRates::with_means(1e-3) };
     for step in 1..=5_u32 {
         let gradient = blob(50, [0.0; 3], 1e-6, 10 + u64::from(step));
         let touched: Vec<bool> = (0..50).map(|i| i % (step as usize + 1) != 0).collect();
-        adam.step(&mut expected, &gradient, &rates, Update::Touched(&touched));
+        let update = if coasts { Update::Coasting(&touched) } else { Update::Touched(&touched) };
+        adam.step(&mut expected, &gradient, &rates, update);
         write_step(&gpu, &optimiser, &gradient, (&touched, adam.steps()), step);
         optimiser.prepare(&rates, step);
         let mut commands = gpu.commands();

@@ -11,6 +11,8 @@ use rayon::prelude::*;
 
 /// Gaussians of one parallel task.
 const CHUNK: usize = 512;
+/// Of the widest column, the SH coefficients of degree 3.
+const NO_GRADIENT: [f32; 48] = [0.0; 48];
 
 /// Step sizes per column of a Gaussian set; 0 freezes a column.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -64,19 +66,36 @@ impl Columns {
 /// Which Gaussians a step updates.
 #[derive(Clone, Copy, Debug)]
 pub enum Update<'a> {
-    /// All: moments of a Gaussian without gradient decay, and it keeps moving by its momentum (literal Adam).
+    /// All.
     Dense,
     /// Those flagged, (N); the others keep parameters, moments and step count (sparse Adam). Cost grows with what a
     /// view sees.
     Touched(&'a [bool]),
+    /// All: to those not flagged, (N), the gradient is zero, whatever it holds for them. Their moments decay and they go on by their
+    /// momentum, as in literal Adam and in 3DGS, and as there the bias correction is that of the training's steps, not of their own.
+    Coasting(&'a [bool]),
 }
 
 impl Update<'_> {
     #[inline(always)]
     fn includes(self, i: usize) -> bool {
         match self {
-            Self::Dense => true,
+            Self::Dense | Self::Coasting(_) => true,
             Self::Touched(flags) => flags[i],
+        }
+    }
+
+    /// Whether there is a gradient, and a step of its own.
+    #[inline(always)]
+    fn counts(self, i: usize) -> bool {
+        self.flags().is_none_or(|flags| flags[i])
+    }
+
+    #[inline(always)]
+    fn flags(&self) -> Option<&[bool]> {
+        match self {
+            Self::Dense => None,
+            Self::Touched(flags) | Self::Coasting(flags) => Some(flags),
         }
     }
 }
@@ -108,6 +127,8 @@ pub struct Adam {
     first: Gaussians,
     second: Gaussians,
     steps: Vec<u32>,
+    /// Steps of the training.
+    taken: u32,
     corrections: Vec<Correction>,
     sh_rates: Vec<f32>,
 }
@@ -135,6 +156,7 @@ impl Adam {
             first: moments(),
             second: moments(),
             steps: vec![0; n],
+            taken: 0,
             corrections: corrections(),
         }
     }
@@ -178,15 +200,16 @@ impl Adam {
         let n = self.len();
         assert!(gaussians.len() == n && gradient.len() == n, "{n} moments, {} Gaussians", gaussians.len());
         assert!(gaussians.sh.len() == gradient.sh.len(), "SH degree");
-        if let Update::Touched(flags) = update {
-            assert_eq!(flags.len(), n, "touched flags");
-        }
+        assert!(update.flags().is_none_or(|flags| flags.len() == n), "flags of {n} Gaussians");
         self.sh_rates.fill(rates.sh_rest);
         self.sh_rates[..3].fill(rates.sh0);
         for (i, step) in self.steps.iter_mut().enumerate() {
-            *step += u32::from(update.includes(i));
+            *step += u32::from(update.counts(i));
         }
-        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon: EPSILON };
+        self.taken += 1;
+        let common = matches!(update, Update::Coasting(_)).then_some(self.taken);
+        let Self { steps, corrections, .. } = self;
+        let shared = Shared { steps, common, corrections, update, epsilon: EPSILON };
         let (p, g, m, v) = (gaussians, gradient, &mut self.first, &mut self.second);
         macro_rules! column {
             ($field:ident, $rates:expr) => {
@@ -242,6 +265,8 @@ impl Adam {
 #[derive(Clone, Copy)]
 struct Shared<'a> {
     steps: &'a [u32],
+    /// Steps that count for all, instead of their own.
+    common: Option<u32>,
     corrections: &'a [Correction],
     update: Update<'a>,
     epsilon: f32,
@@ -273,7 +298,8 @@ impl Shared<'_> {
 
     #[inline(always)]
     fn correction(&self, i: usize) -> Correction {
-        self.corrections[(self.steps[i] as usize).min(CORRECTED_STEPS)]
+        let steps = self.common.unwrap_or(self.steps[i]);
+        self.corrections[(steps as usize).min(CORRECTED_STEPS)]
     }
 }
 
@@ -308,7 +334,9 @@ impl Kernel for Chunk<'_> {
         for i in (0..count).filter(|i| self.shared.update.includes(self.start + i)) {
             let by = self.shared.correction(self.start + i);
             let at = i * width..(i + 1) * width;
-            let (p, g) = (&mut self.p[at.clone()], &self.g[at.clone()]);
+            let has_gradient = self.shared.update.counts(self.start + i);
+            let g = if has_gradient { &self.g[at.clone()] } else { &NO_GRADIENT[..width] };
+            let p = &mut self.p[at.clone()];
             let (m, v) = (&mut self.m[at.clone()], &mut self.v[at]);
             for ((((p, g), m), v), rate) in p.iter_mut().zip(g).zip(m).zip(v).zip(self.rates) {
                 descend::<FMA>(p, *g, m, v, *rate, by, self.shared.epsilon);
@@ -402,9 +430,10 @@ impl AdamVec {
         assert!(parameters.len() == self.first.len() && gradient.len() == self.first.len(), "lengths differ");
         self.rates.fill(rate);
         for (i, step) in self.steps.iter_mut().enumerate() {
-            *step += u32::from(update.includes(i));
+            *step += u32::from(update.counts(i));
         }
-        let shared = Shared { steps: &self.steps, corrections: &self.corrections, update, epsilon };
+        let Self { steps, corrections, .. } = self;
+        let shared = Shared { steps, common: None, corrections, update, epsilon };
         shared.column(parameters, gradient, (&mut self.first, &mut self.second), &self.rates);
     }
 }
@@ -484,6 +513,38 @@ mod tests {
             let want = if hit { &dense } else { &start };
             assert_eq!(sparse.select(&[i]), want.select(&[i]));
             assert_eq!(adam.steps()[i], u32::from(hit));
+        }
+    }
+
+    /// `reference` with a gradient of zero in the steps that do not draw.
+    #[test]
+    fn coasting_gaussians_go_on_by_their_momentum() {
+        let n = 700;
+        let (start, gradient) = (waves(n, 3, 0.0), waves(n, 3, 5.0));
+        let (mut g, mut adam) = (start.clone(), Adam::new(n, 3));
+        for step in 0..3 {
+            // The columns hold a gradient of all, also of those that the step does not draw.
+            let drawn: Vec<bool> = (0..n).map(|i| i % 3 == step).collect();
+            adam.step(&mut g, &gradient, &RATES, Update::Coasting(&drawn));
+            assert!(step == 2 || g.means[2] == start.means[2], "nothing has drawn it yet");
+        }
+        assert_eq!(adam.steps(), vec![1; n]);
+        let check = |got: f32, start: f32, gradient: f32, i: usize, rate: f32| {
+            let history: Vec<f32> = (0..3).map(|step| if i % 3 == step { gradient } else { 0.0 }).collect();
+            let want = reference(start, &history, rate);
+            assert!((f64::from(got) - want).abs() < 2e-6, "{got} against {want}");
+        };
+        for i in [0, 1, 2, 512, n - 1] {
+            check(
+                g.opacity_logits[i],
+                start.opacity_logits[i],
+                gradient.opacity_logits[i],
+                i,
+                RATES.opacities,
+            );
+            check(g.means[i][1], start.means[i][1], gradient.means[i][1], i, RATES.means);
+            let [g, start, gradient] = [&g, &start, &gradient].map(|g| g.sh_of(i)[15][2]);
+            check(g, start, gradient, i, RATES.sh_rest);
         }
     }
 

@@ -87,7 +87,7 @@ pub trait Training {
 }
 
 /// Gaussians under training on a backend. [`backward`](Training::backward) adds the derivative of the task's prior,
-/// [`step`](Training::step) moves the Gaussians that were drawn, and the sky where it is trained. Between steps
+/// [`step`](Training::step) moves the Gaussians that were drawn, others where the task says so, and the sky where it is trained. Between steps
 /// [`revise`](Self::revise) and [`revise_sky`](Self::revise_sky) may be called, at the end [`download`](Self::download). Until then the layer of the task is as it was, or of
 /// no meaning after an error.
 pub trait LayerTraining: Training {
@@ -156,13 +156,15 @@ pub struct LayerTask<'a> {
     pub sums_gradients: bool,
     /// Number of Gaussians at the front that are drawn and stay as they are.
     pub fixed: usize,
+    /// Whether a step of Adam also moves Gaussians that it does not draw, by their momentum ([`Update::Coasting`](crate::Update::Coasting)).
+    pub coasts: bool,
 }
 
 impl<'a> LayerTask<'a> {
-    /// All parameters of all Gaussians, without a prior and without density control.
+    /// All parameters of the Gaussians that a step draws, without a prior and without density control.
     pub fn new(layer: &'a mut Arc<Gaussians>, views: Vec<TaskView<'a>>, around: Around<'a>) -> Self {
         let columns = Columns::ALL;
-        Self { layer, columns, views, around, prior: None, sums_gradients: false, fixed: 0 }
+        Self { layer, columns, views, around, prior: None, sums_gradients: false, fixed: 0, coasts: false }
     }
 }
 

@@ -56,6 +56,8 @@ pub struct FirstFrameConfig {
     pub few_views: usize,
     /// Share of the Gaussians that each step leaves out.
     pub dropout: f32,
+    /// Whether Gaussians that a step does not draw go on by their momentum.
+    pub coasting: bool,
     /// Whether differences of the cameras' exposures are removed from the photographs.
     pub exposures: bool,
 }
@@ -82,6 +84,7 @@ impl Default for FirstFrameConfig {
             hidden_sky: 0.9,
             few_views: 12,
             dropout: 0.4,
+            coasting: true,
             exposures: true,
         }
     }
@@ -136,7 +139,11 @@ pub fn train_first_frame<B: TrainBackend>(
     let mut layer = Arc::new(gaussians);
     let around = Around::TrainedSky(&mut sky, config.sky_rate);
     let task_views = views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect();
-    let task = LayerTask { sums_gradients: true, ..LayerTask::new(&mut layer, task_views, around) };
+    let task = LayerTask {
+        sums_gradients: true,
+        coasts: config.coasting,
+        ..LayerTask::new(&mut layer, task_views, around)
+    };
     let mut training = backend.upload_layer(task)?;
     let density = DensityControl::new(density_config(config), seed);
     let mut rounds = Rounds { config, views, extent, start: points, density };

@@ -25,6 +25,7 @@ pub struct CpuLayer<'a> {
     adam: Adam,
     /// Gaussians at the front that stay.
     fixed: usize,
+    coasts: bool,
     sums: Option<GradientSums>,
     running: Running,
     /// The view at hand, and how it was drawn.
@@ -53,6 +54,7 @@ impl<'a> CpuLayer<'a> {
             penalty: task.prior.map(|prior| Penalty::new(prior, layer, seen)),
             adam: Adam::of_columns(layer.len(), layer.sh_degree(), task.columns),
             fixed: task.fixed,
+            coasts: task.coasts,
             sums: task.sums_gradients.then(|| GradientSums::new(layer.len())),
             layer,
             mean_pixels: mean_pixels(&task.views),
@@ -72,12 +74,12 @@ impl<'a> CpuLayer<'a> {
         let touched = &mut self.gradients.touched;
         touched[..self.fixed].fill(false);
         let gradient = &self.gradients.gaussians;
-        match (natural, &self.penalty) {
-            (Some(share), Some(penalty)) => {
-                let curvature = penalty.curvature(self.mean_pixels);
-                self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
-            }
-            _ => self.adam.step(self.layer, gradient, rates, Update::Touched(touched)),
+        if let (Some(share), Some(penalty)) = (natural, &self.penalty) {
+            let curvature = penalty.curvature(self.mean_pixels);
+            self.adam.step_naturally(self.layer, gradient, (share, rates), curvature, touched);
+        } else {
+            let update = if self.coasts { Update::Coasting(touched) } else { Update::Touched(touched) };
+            self.adam.step(self.layer, gradient, rates, update);
         }
         self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
         if let Some(sums) = &mut self.sums {
