@@ -65,7 +65,7 @@ pub struct FirstFrameConfig {
 impl Default for FirstFrameConfig {
     fn default() -> Self {
         Self {
-            iterations: 3000,
+            iterations: 2000,
             sh_degree: 3,
             antialiased: true,
             position_rate: 2e-4,
