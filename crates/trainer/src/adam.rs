@@ -66,13 +66,13 @@ impl Columns {
 /// Which Gaussians a step updates.
 #[derive(Clone, Copy, Debug)]
 pub enum Update<'a> {
-    /// All.
+    /// All, by the gradient as it is: where it is zero, moments decay and the Gaussian goes on by its momentum (literal Adam).
     Dense,
     /// Those flagged, (N); the others keep parameters, moments and step count (sparse Adam). Cost grows with what a
     /// view sees.
     Touched(&'a [bool]),
-    /// All: to those not flagged, (N), the gradient is zero, whatever it holds for them. Their moments decay and they go on by their
-    /// momentum, as in literal Adam and in 3DGS, and as there the bias correction is that of the training's steps, not of their own.
+    /// All: those not flagged, (N), have the gradient zero, whatever the column holds, and go on by their momentum. The bias correction is
+    /// that of all steps of the training instead of the Gaussian's own, as in 3DGS (docs/adr/0086-what-is-not-drawn-coasts.md).
     Coasting(&'a [bool]),
 }
 

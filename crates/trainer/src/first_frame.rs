@@ -297,6 +297,29 @@ mod tests {
     }
 
     #[test]
+    fn what_a_view_does_not_see_coasts_or_stays() {
+        let size = ImageSize { width: 24, height: 16 };
+        let intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 12.0, cy: 8.0 };
+        let towards = |yaw: f64| TrainingView {
+            camera: Camera::new(intrinsics, glam::DMat4::from_rotation_y(yaw), size).unwrap(),
+            image: ImageRgb8::new(size, vec![51; 3 * size.pixels()]).unwrap(),
+            mask: Mask::filled(size, false),
+        };
+        let views = [towards(0.0), towards(std::f64::consts::PI)];
+        let start = crate::from_points(&[[0.0, 0.0, 2.0]], &[[0.9; 3]], 0, 0.5);
+        // One view sees the Gaussian, the other has its back to it.
+        let moved_by = |coasting: bool| {
+            let config = FirstFrameConfig { iterations: 10, coasting, ..FirstFrameConfig::default() };
+            let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
+            let Ok(trained) =
+                train_first_frame(&CpuBackend, &config, &views, start.clone(), 1.0, 1, &mut |_| {});
+            (trained.gaussians.sh[0][0] - start.gaussians.sh[0][0]).abs()
+        };
+        let (coasting, stays) = (moved_by(true), moved_by(false));
+        assert!(stays > 0.0 && coasting > 1.3 * stays, "{coasting} and {stays}");
+    }
+
+    #[test]
     fn the_sky_behind_the_camera_is_filled_or_stays() {
         let size = ImageSize { width: 24, height: 16 };
         let intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 12.0, cy: 8.0 };

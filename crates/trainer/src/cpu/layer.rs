@@ -25,6 +25,7 @@ pub struct CpuLayer<'a> {
     adam: Adam,
     /// Gaussians at the front that stay.
     fixed: usize,
+    /// Whether Gaussians that a step does not draw go on by their momentum.
     coasts: bool,
     sums: Option<GradientSums>,
     running: Running,
