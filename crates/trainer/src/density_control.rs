@@ -111,6 +111,20 @@ pub struct DensityPlan {
     pub prune: Vec<bool>,
 }
 
+impl DensityPlan {
+    /// All of `count` Gaussians stay, and none grows.
+    pub(crate) fn unchanged(count: usize) -> Self {
+        Self { prune: vec![false; count], ..Self::default() }
+    }
+
+    /// Removes those of a column (N) as well; they do not grow.
+    pub(crate) fn remove(&mut self, gone: &[bool]) {
+        self.prune.iter_mut().zip(gone).for_each(|(prune, gone)| *prune |= gone);
+        self.clone.retain(|&i| !gone[i]);
+        self.split.retain(|&i| !gone[i]);
+    }
+}
+
 /// Where each Gaussian of the new set came from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct IndexMap {

@@ -2,7 +2,8 @@
 
 use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
-use crate::density_control::{DensityConfig, DensityControl, Split, reset_opacities};
+use crate::density_control::{DensityConfig, DensityControl, DensityPlan, Split, reset_opacities};
+use crate::floaters::floaters;
 use crate::hidden_sky::fill_hidden;
 use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
@@ -12,6 +13,8 @@ use std::sync::Arc;
 
 /// Opacity to which all are lowered by a reset, as in 3DGS.
 const RESET_OPACITY: f32 = 0.01;
+/// Share of the steps after which no floaters are removed: what they showed is learnt by others in the steps that are left.
+const LAST_CLEARING: f32 = 0.9;
 
 /// How frame 0 is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,6 +48,8 @@ pub struct FirstFrameConfig {
     pub max_gaussians: usize,
     /// Nor by growth, per pixel of all photographs together.
     pub gaussians_per_pixel: f32,
+    /// Opacity below which a Gaussian in mid-air is removed in the rounds from the end of growth on; 0 = none is.
+    pub floater_opacity: f32,
     /// Lower all opacities at this share of the steps; 0 = never.
     pub opacity_reset: f32,
     /// Rate of the sky's texels.
@@ -79,6 +84,7 @@ impl Default for FirstFrameConfig {
             max_points: 0,
             max_gaussians: 90_000,
             gaussians_per_pixel: 0.13,
+            floater_opacity: 0.5,
             opacity_reset: 0.0,
             sky_rate: 5e-3,
             hidden_sky: 0.9,
@@ -219,18 +225,23 @@ impl Rounds<'_> {
         let resets = reset_at > 0 && done == reset_at;
         let due = c.densify_every > 0 && done.is_multiple_of(c.densify_every);
         let grows = due && share >= c.densify_span[0] && share <= c.densify_span[1];
-        if !(resets || grows) {
+        let clears = due && c.floater_opacity > 0.0 && share >= c.densify_span[1] && share <= LAST_CLEARING;
+        if !(resets || grows || clears) {
             return Ok(());
         }
         training.revise(&mut |gaussians, sums| {
             if resets {
                 reset_opacities(gaussians, RESET_OPACITY);
             }
-            let map = grows.then(|| {
+            let mut plan = DensityPlan::unchanged(gaussians.len());
+            if grows {
                 self.density.set_limit(self.limit(done));
-                let plan = self.density.plan(gaussians, sums, self.extent);
-                self.density.apply(&plan, gaussians)
-            });
+                plan = self.density.plan(gaussians, sums, self.extent);
+            }
+            if clears {
+                plan.remove(&floaters(gaussians, c.floater_opacity, self.views));
+            }
+            let map = (grows || clears).then(|| self.density.apply(&plan, gaussians));
             Revision { map, opacities_reset: resets }
         })
     }

@@ -13,6 +13,7 @@ mod disocclusion;
 mod dynamic_lane;
 mod exposures;
 mod first_frame;
+mod floaters;
 mod gain;
 mod hidden_sky;
 mod initialise;

@@ -1,0 +1,167 @@
+//! Floaters: faint Gaussians in mid-air. Each adds a little to photographs that show something far behind it; seen from elsewhere, they hang
+//! together as a veil (docs/adr/0087-floaters-are-removed.md).
+
+use ffgs_core::{Camera, Gaussians, SH_C0, TrainingView, sigmoid};
+use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderTape, View};
+use glam::DVec3;
+
+/// Natural logarithm of how many times farther than a floater lies what its pixels show: 1.65 times.
+const FAR_BEHIND: f32 = 0.5;
+/// Transmittance from which a pixel shows the sky, whose distance says nothing.
+const SKY: f32 = 0.5;
+/// Larger views are reduced: distances need no more pixels than these.
+const PIXELS: usize = 512 * 512;
+/// Nor more views than these, evenly among all.
+const VIEWS: usize = 64;
+
+/// Which Gaussians of `layer` float, (N): those less opaque than `opaque` where the views show, on average, something much farther away.
+pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -> Vec<bool> {
+    let behind = behind(layer, views);
+    let faint = |i: usize| sigmoid(layer.opacity_logits[i]) < opaque;
+    let floats: Vec<bool> = (0..layer.len()).map(|i| faint(i) && behind[i] > FAR_BEHIND).collect();
+    tracing::debug!("{} of {} Gaussians float", floats.iter().filter(|&&f| f).count(), layer.len());
+    floats
+}
+
+/// Natural logarithm of how many times farther than each Gaussian lies what the pixels show to which it adds, their mean by how much it adds,
+/// (N); 0 where no view shows it before something else than the sky.
+fn behind(layer: &Gaussians, views: &[TrainingView]) -> Vec<f32> {
+    let rasterizer = CpuRasterizer::default();
+    let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
+    let (mut farther, mut weights) = (vec![0.0_f32; layer.len()], vec![0.0_f32; layer.len()]);
+    let mut painted = uncoloured(layer);
+    for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
+        let camera = reduced(&view.camera);
+        let frame = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
+        let depths = log_depths(layer, &camera);
+        painted.sh.iter_mut().zip(&depths).for_each(|(sh, depth)| *sh = [(depth - 0.5) / SH_C0; 3]);
+        rasterizer.render(&painted, &frame, &mut tape);
+        let [solid, shown] = shown(&tape);
+        rasterizer.accumulate(&painted, &frame, &[&solid, &shown], &mut tape, &mut sums);
+        for (i, depth) in depths.iter().enumerate() {
+            let [weight, shown] = [0, 1].map(|channel| sums.of(i)[channel]);
+            farther[i] += shown - weight * depth;
+            weights[i] += weight;
+        }
+    }
+    farther.iter().zip(&weights).map(|(sum, weight)| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
+}
+
+/// Per pixel of a rendered picture of values: whether it shows something else than the sky, and the mean value of that.
+fn shown(tape: &RenderTape) -> [Vec<f32>; 2] {
+    let through = tape.transmittance();
+    let solid = |pixel: usize| f32::from(u8::from(through[pixel] < SKY));
+    let value = |pixel: usize| solid(pixel) * tape.image().pixel(pixel)[0] / (1.0 - through[pixel]).max(SKY);
+    [(0..through.len()).map(solid).collect(), (0..through.len()).map(value).collect()]
+}
+
+/// The shapes and opacities of a layer, with one colour a Gaussian.
+fn uncoloured(layer: &Gaussians) -> Gaussians {
+    let mut out = Gaussians::zeros(layer.len(), 0).with_filter(layer.filter);
+    out.means.clone_from(&layer.means);
+    out.quats.clone_from(&layer.quats);
+    out.log_scales.clone_from(&layer.log_scales);
+    out.opacity_logits.clone_from(&layer.opacity_logits);
+    out
+}
+
+fn reduced(camera: &Camera) -> Camera {
+    let share = camera.size().pixels() as f64 / PIXELS as f64;
+    camera.reduced(share.sqrt().ceil().max(1.0) as usize)
+}
+
+/// Natural logarithms of the depths in units of the least, so that none is negative, (N); 0 behind the camera.
+fn log_depths(layer: &Gaussians, camera: &Camera) -> Vec<f32> {
+    let depth = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).map_or(0.0, |p| p.depth);
+    let depths: Vec<f64> = layer.means.iter().map(depth).collect();
+    let least = depths.iter().copied().filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
+    depths.iter().map(|&d| if d > 0.0 { (d / least).ln() as f32 } else { 0.0 }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CpuBackend, FirstFrame, FirstFrameConfig, train_first_frame};
+    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube, logit};
+    use glam::DMat4;
+
+    const OPAQUE: f32 = 0.5;
+
+    /// At the origin, along z, with that focal length (px): 48 x 32 pixels at 40, the same field of view at others.
+    fn view(focal: usize) -> TrainingView {
+        let size = ImageSize { width: 48 * focal / 40, height: 32 * focal / 40 };
+        let [fx, cx, cy] = [focal, size.width / 2, size.height / 2].map(|v| v as f64);
+        let camera = Camera::new(Intrinsics { fx, fy: fx, cx, cy }, DMat4::IDENTITY, size).unwrap();
+        let image = ImageRgb8::new(size, vec![0; 3 * size.pixels()]).unwrap();
+        TrainingView { camera, image, mask: Mask::filled(size, false) }
+    }
+
+    /// An opaque wall 4 m away left of the axis and the sky right of it; before them single Gaussians at `(x, z)` of an opacity each.
+    fn scene(before: &[([f32; 2], f32)]) -> Gaussians {
+        let wall = |i: usize| [-0.1 * (i % 30) as f32, 0.1 * (i / 30) as f32 - 1.5, 4.0];
+        let places = before.iter().map(|([x, z], _)| [*x, 0.0, *z]).chain((0..900).map(wall));
+        let places: Vec<[f32; 3]> = places.collect();
+        let mut out = crate::from_points(&places, &vec![[0.2; 3]; places.len()], 0, 0.98);
+        out.log_scales.fill([0.06_f32.ln(); 3]);
+        before.iter().zip(&mut out.opacity_logits).for_each(|((_, opacity), at)| *at = logit(*opacity));
+        out
+    }
+
+    fn float(before: &[([f32; 2], f32)], views: &[TrainingView]) -> Vec<bool> {
+        let found = floaters(&scene(before), OPAQUE, views);
+        assert!(!found[before.len()..].contains(&true), "the wall floats");
+        found[..before.len()].to_vec()
+    }
+
+    #[test]
+    fn faint_and_far_before_a_wall_floats() {
+        let before = [
+            ([-0.4, 1.0], 0.2),
+            ([-0.2, 1.8], 0.2),
+            ([-1.0, 3.5], 0.2),
+            ([-0.8, 1.5], 0.9),
+            ([0.4, 1.0], 0.2),
+        ];
+        // The last two: opaque, and before the sky.
+        let expected = [true, true, false, false, false];
+        assert_eq!(float(&before, &[view(40)]), expected);
+        assert_eq!(float(&before, &[view(40), view(60)]), expected);
+        assert_eq!(float(&before, &[view(1280)]), expected, "a large view, reduced");
+    }
+
+    #[test]
+    fn what_no_view_shows_stays() {
+        let before = [([-0.3, 1.0], 0.2), ([-0.3, -1.0], 0.2), ([-0.8, 5.0], 0.2)];
+        assert_eq!(float(&before, &[]), [false; 3]);
+        assert_eq!(float(&before, &[view(40)]), [true, false, false], "behind the camera, behind the wall");
+        assert_eq!(floaters(&Gaussians::empty(0), OPAQUE, &[view(40)]), [false; 0]);
+    }
+
+    #[test]
+    fn the_first_frame_loses_them_or_keeps_all() {
+        let before = [([-0.4, 1.0], 0.2), ([0.4, 1.0], 0.2)];
+        let count = |floater_opacity: f32| {
+            let (iterations, densify_every, grow_gradient) = (10, 2, f32::INFINITY);
+            let config = FirstFrameConfig {
+                iterations,
+                densify_every,
+                grow_gradient,
+                floater_opacity,
+                ..Default::default()
+            };
+            let start = FirstFrame { gaussians: scene(&before), sky: SkyCube::filled(4, [0.2; 3]) };
+            let views = [view(40), view(60)];
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, &views, start, 1.0, 1, &mut |_| {});
+            trained.gaussians.len()
+        };
+        assert_eq!([count(0.0), count(OPAQUE)], [scene(&before).len(), scene(&before).len() - 1]);
+    }
+
+    #[test]
+    fn depths_of_zero_infinity_and_nan_are_no_panic() {
+        let mut layer = scene(&[([-0.3, 1.0], 0.2), ([0.0, 0.0], 0.2), ([0.0, 1.0], 0.2)]);
+        layer.means[1] = [f32::NAN; 3];
+        layer.means[2] = [0.0, 0.0, f32::INFINITY];
+        assert_eq!(floaters(&layer, OPAQUE, &[view(40)])[..2], [true, false]);
+    }
+}
