@@ -1,10 +1,12 @@
 //! Frame 0: static, dynamic and sky together, from points, trackside and initialisation views.
 
 use crate::adam::LearningRates;
-use crate::backend::{Around, LayerTask, LayerTraining, Revision, TaskView, TrainBackend};
+use crate::backend::{Around, LayerTask, LayerTraining, Revision, TrainBackend};
 use crate::density_control::{DensityConfig, DensityControl, DensityPlan, Split, reset_opacities};
 use crate::floaters::floaters;
 use crate::hidden_sky::fill_hidden;
+use crate::pyramid::Pyramid;
+use crate::resolution::reduction;
 use crate::schedule::{Epochs, Schedule, decay};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
@@ -40,6 +42,11 @@ pub struct FirstFrameConfig {
     pub densify_every: usize,
     /// Growth begins and ends at these shares of the steps.
     pub densify_span: [f32; 2],
+    /// Photographs are halved as often as splats keep this standard deviation in reduced pixels, as in
+    /// [`ResolutionConfig`](crate::ResolutionConfig); 0 = never.
+    pub coarse_splat_px: f32,
+    /// Share of the steps after which all photographs are whole.
+    pub coarse_until: f32,
     /// Mean gradient from which a Gaussian grows.
     pub grow_gradient: f32,
     /// Initial points from which training starts at most; 0 = all.
@@ -80,6 +87,8 @@ impl Default for FirstFrameConfig {
             sh_rest_rate: 3.75e-4,
             densify_every: 200,
             densify_span: [0.1, 0.6],
+            coarse_splat_px: 2.0,
+            coarse_until: 0.6,
             grow_gradient: 2e-4,
             max_points: 0,
             max_gaussians: 90_000,
@@ -113,6 +122,11 @@ impl FirstFrameConfig {
             ..self
         }
     }
+
+    /// Whether step `done` may be taken on reduced photographs.
+    fn may_be_coarse(&self, done: usize) -> bool {
+        done < (self.coarse_until * self.iterations as f32) as usize
+    }
 }
 
 /// The trained frame 0.
@@ -144,15 +158,16 @@ pub fn train_first_frame<B: TrainBackend>(
     let points = gaussians.len();
     let mut layer = Arc::new(gaussians);
     let around = Around::TrainedSky(&mut sky, config.sky_rate);
-    let task_views = views.iter().map(|view| TaskView { view, region: None, tiles: None }).collect();
+    let coarsest = if config.may_be_coarse(0) { reduction(config.coarse_splat_px, &layer, views) } else { 1 };
+    let pyramid = &Pyramid::new(views, coarsest);
     let task = LayerTask {
         sums_gradients: true,
         coasts: config.coasting,
-        ..LayerTask::new(&mut layer, task_views, around)
+        ..LayerTask::new(&mut layer, pyramid.task_views(), around)
     };
     let mut training = backend.upload_layer(task)?;
     let density = DensityControl::new(density_config(config), seed);
-    let mut rounds = Rounds { config, views, extent, start: points, density };
+    let mut rounds = Rounds { config, views, pyramid, extent, start: points, density };
     let schedule = Schedule {
         iterations: config.iterations,
         sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
@@ -160,6 +175,7 @@ pub fn train_first_frame<B: TrainBackend>(
         // What stands beside a camera veils its photograph, and is thereby kept away from the cameras (docs/adr/0064).
         at_centres: true,
         rates: &|iteration| rates(config, iteration, extent),
+        shown: &|view| pyramid.shown(view),
         ..Schedule::default()
     };
     schedule.run(
@@ -193,10 +209,11 @@ fn rates(c: &FirstFrameConfig, iteration: usize, extent: f32) -> LearningRates {
     }
 }
 
-/// Growth and removal of Gaussians, the reset of opacities and the sky where it is hidden, at their steps.
+/// Growth and removal of Gaussians, the resolution of photographs, the reset of opacities and the sky where it is hidden, at their steps.
 struct Rounds<'a> {
     config: &'a FirstFrameConfig,
     views: &'a [TrainingView],
+    pyramid: &'a Pyramid<'a>,
     extent: f32,
     /// Number of Gaussians at the first step.
     start: usize,
@@ -220,13 +237,17 @@ impl Rounds<'_> {
         if done == (c.hidden_sky * c.iterations as f32) as usize {
             training.revise_sky(&mut |gaussians, sky| fill_hidden(sky, gaussians, self.views))?;
         }
+        if !c.may_be_coarse(done) {
+            self.pyramid.refine(1);
+        }
         let share = done as f32 / c.iterations as f32;
         let reset_at = (c.opacity_reset * c.iterations as f32) as usize;
         let resets = reset_at > 0 && done == reset_at;
         let due = c.densify_every > 0 && done.is_multiple_of(c.densify_every);
         let grows = due && share >= c.densify_span[0] && share <= c.densify_span[1];
         let clears = due && c.floater_opacity > 0.0 && share >= c.densify_span[1] && share <= LAST_CLEARING;
-        if !(resets || grows || clears) {
+        let refines = due && self.pyramid.is_reduced();
+        if !(resets || grows || clears || refines) {
             return Ok(());
         }
         training.revise(&mut |gaussians, sums| {
@@ -242,6 +263,9 @@ impl Rounds<'_> {
                 plan.remove(&floaters(gaussians, c.floater_opacity, self.views));
             }
             let map = (grows || clears).then(|| self.density.apply(&plan, gaussians));
+            if refines {
+                self.pyramid.refine(reduction(c.coarse_splat_px, gaussians, self.views));
+            }
             Revision { map, opacities_reset: resets }
         })
     }
@@ -287,7 +311,8 @@ mod tests {
         };
         let limits = |start: usize, config: &FirstFrameConfig| {
             let density = DensityControl::new(density_config(config), 1);
-            let rounds = Rounds { config, views: &[], extent: 1.0, start, density };
+            let pyramid = &Pyramid::new(&[], 1);
+            let rounds = Rounds { config, views: &[], pyramid, extent: 1.0, start, density };
             [100, 300, 500, 600].map(|done| rounds.limit(done))
         };
         assert_eq!(limits(100, &config), [200, 400, 600, 600]);
@@ -328,6 +353,41 @@ mod tests {
         };
         let (coasting, stays) = (moved_by(true), moved_by(false));
         assert!(stays > 0.0 && coasting > 1.3 * stays, "{coasting} and {stays}");
+    }
+
+    #[test]
+    fn large_splats_are_trained_on_reduced_photographs_until_the_end_of_these() {
+        let size = ImageSize { width: 48, height: 32 };
+        let intrinsics = Intrinsics { fx: 40.0, fy: 40.0, cx: 24.0, cy: 16.0 };
+        let stripes = |i: usize| [u8::from(i % 48 % 8 < 3) * 200; 3];
+        let view = TrainingView {
+            camera: Camera::new(intrinsics, glam::DMat4::IDENTITY, size).unwrap(),
+            image: ImageRgb8::new(size, (0..size.pixels()).flat_map(stripes).collect()).unwrap(),
+            mask: Mask::filled(size, false),
+        };
+        let mut start = crate::from_points(&[[0.0, 0.0, 2.0]], &[[0.9; 3]], 0, 0.5);
+        // Six pixels: as large as one and a half of blocks of 4.
+        start.log_scales.fill([0.3_f32.ln(); 3]);
+        let trained = |view: &TrainingView, coarse_splat_px: f32, coarse_until: f32| {
+            let (iterations, hidden_sky) = (10, 0.0);
+            let config = FirstFrameConfig {
+                iterations,
+                coarse_splat_px,
+                coarse_until,
+                hidden_sky,
+                ..Default::default()
+            };
+            let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
+            let views = std::slice::from_ref(view);
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, views, start, 1.0, 1, &mut |_| {});
+            trained.gaussians
+        };
+        let (whole, reduced) = (trained(&view, 0.0, 1.0), trained(&view.reduced(4), 0.0, 1.0));
+        assert_ne!(whole, reduced);
+        assert_eq!(trained(&view, 1.0, 1.0), reduced);
+        assert_eq!(trained(&view, 1.0, 0.0), whole);
+        let half = trained(&view, 1.0, 0.5);
+        assert!(half != whole && half != reduced, "five steps each");
     }
 
     #[test]

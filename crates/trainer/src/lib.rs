@@ -22,6 +22,7 @@ mod lengths;
 mod loss;
 mod natural;
 mod prior;
+mod pyramid;
 mod resolution;
 mod schedule;
 mod sky;

@@ -40,7 +40,9 @@ impl ResolutionConfig {
     }
 }
 
-fn reduction(splat_px: f32, layer: &Gaussians, views: &[TrainingView]) -> usize {
+/// Side of the blocks of pixels, a power of two, with which the splats that cover three quarters of what `layer` covers keep a standard
+/// deviation of `splat_px` blocks; 1 where that is 0.
+pub(crate) fn reduction(splat_px: f32, layer: &Gaussians, views: &[TrainingView]) -> usize {
     let finest = fine_splat(layer, views).filter(|_| splat_px > 0.0);
     let Some(finest) = finest else { return 1 };
     let side = |view: &TrainingView| view.camera.size().width.min(view.camera.size().height);

@@ -84,6 +84,8 @@ pub struct Schedule<'a> {
     pub natural: &'a dyn Fn(usize) -> f32,
     /// [`Training::expected_gain`] (nats) of natural steps below which every other of those that are left is enough; 0 = never.
     pub settled: f64,
+    /// Which of the task's views is used for one that is drawn.
+    pub shown: &'a dyn Fn(usize) -> usize,
 }
 
 /// Steps between two looks at what can still be gained.
@@ -102,6 +104,7 @@ impl Default for Schedule<'_> {
             rates: &|_| LearningRates::default(),
             natural: &|_| 0.0,
             settled: 0.0,
+            shown: &|view| view,
         }
     }
 }
@@ -132,7 +135,7 @@ impl Schedule<'_> {
         let (mut iteration, mut pace, mut steps) = (0, 1, 0_usize);
         while iteration < self.iterations {
             let Some(view) = views.draw() else { break };
-            training.forward(view, self.options(iteration))?;
+            training.forward((self.shown)(view), self.options(iteration))?;
             training.backward()?;
             let (share, rates) = ((self.natural)(iteration), (self.rates)(iteration));
             if share > 0.0 {
