@@ -87,7 +87,7 @@ impl Default for FirstFrameConfig {
             sh_rest_rate: 3.75e-4,
             densify_every: 200,
             densify_span: [0.1, 0.6],
-            coarse_splat_px: 2.0,
+            coarse_splat_px: 1.5,
             coarse_until: 0.6,
             grow_gradient: 2e-4,
             max_points: 0,
