@@ -1,5 +1,5 @@
-//! Floaters: faint Gaussians in mid-air. Each adds a little to photographs that show something far behind it; seen from elsewhere, they hang
-//! together as a veil (docs/adr/0087-floaters-are-removed.md).
+//! Floaters: faint Gaussians in mid-air. Each contributes a little to photographs that show something far behind it; from another viewpoint,
+//! together they look like a veil (docs/adr/0087-floaters-are-removed.md).
 
 use ffgs_core::{Camera, Gaussians, SH_C0, TrainingView, sigmoid};
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderTape, View};
@@ -23,8 +23,8 @@ pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -
     floats
 }
 
-/// Natural logarithm of how many times farther than each Gaussian lies what the pixels show to which it adds, their mean by how much it adds,
-/// (N); 0 where no view shows it before something else than the sky.
+/// Natural logarithm of the depth that a pixel shows over the depth of the Gaussian: its mean over the pixels to which the Gaussian contributes,
+/// weighted by how much it contributes, (N). 0 where no view shows the Gaussian in front of something else than the sky.
 fn behind(layer: &Gaussians, views: &[TrainingView]) -> Vec<f32> {
     let rasterizer = CpuRasterizer::default();
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
