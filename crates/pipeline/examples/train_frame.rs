@@ -6,7 +6,8 @@ use ffgs_core::SkyCube;
 use ffgs_pipeline::job::frame;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_trainer::{
-    CpuBackend, FirstFrame, FirstFrameConfig, INITIAL_OPACITY, camera_extent, from_points, train_first_frame,
+    CpuBackend, FirstFrame, FirstFrameConfig, FirstFrameTask, INITIAL_OPACITY, camera_extent, from_points,
+    train_first_frame,
 };
 use std::path::Path;
 
@@ -22,9 +23,9 @@ fn main() -> Result<()> {
     let points = capture.points()?.context("the capture has no initial points")?;
     let config = FirstFrameConfig { iterations, ..FirstFrameConfig::default() };
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);
-    let extent = camera_extent(&views);
     let start = FirstFrame { gaussians, sky: SkyCube::filled(64, [0.5; 3]) };
-    let trained = train_first_frame(&CpuBackend, &config, &views, start, extent, 1, &mut |step| {
+    let task = FirstFrameTask { views: &views, start, extent: camera_extent(&views), seed: 1 };
+    let trained = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |step| {
         if step.iteration % 50 == 0 {
             println!("step {}: PSNR {:.2} dB, {} Gaussians", step.iteration, step.psnr, step.gaussians);
         }

@@ -257,7 +257,7 @@ fn unequal_exposures_are_found_kept_and_given_back() {
     let out = |name: &str| folder.path().join(name);
     let request = |name: &str, remove: bool, first_frame: Option<&str>| {
         let mut request = request(&out(name), 0);
-        request.config.first_frame.iterations = 60;
+        request.config.first_frame.iterations = 100;
         request.config.first_frame.exposures = remove;
         RunRequest {
             capture: capture.clone(),

@@ -5,9 +5,10 @@ use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
-    BackgroundConfig, BirthConfig, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig,
-    FirstFrame, FirstFrameConfig, Newborn, Progress, StaticColours, StaticLane, StaticTargets, Surroundings,
-    sky_picture, train_disoccluded, train_dynamic, train_first_frame, train_newborn, train_sky,
+    BackgroundConfig, BirthConfig, CpuBackend, Disoccluded, DisocclusionConfig, DynamicLaneConfig, Equalise,
+    FirstFrame, FirstFrameConfig, FirstFrameTask, Newborn, Progress, StaticColours, StaticLane,
+    StaticTargets, Surroundings, sky_picture, train_disoccluded, train_dynamic, train_first_frame,
+    train_newborn, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use rayon::prelude::*;
@@ -50,15 +51,13 @@ impl<'a> Devices<'a> {
     pub(crate) fn first_frame(
         self,
         config: &FirstFrameConfig,
-        views: &[TrainingView],
-        start: FirstFrame,
-        extent: f32,
-        seed: u64,
+        task: FirstFrameTask,
+        equalise: Equalise,
         report: Report,
     ) -> Result<FirstFrame> {
         Ok(match self.gpu(0) {
-            None => train_first_frame(&CpuBackend, config, views, start, extent, seed, report)?,
-            Some(gpu) => train_first_frame(&GpuBackend(gpu), config, views, start, extent, seed, report)?,
+            None => train_first_frame(&CpuBackend, config, task, equalise, report)?,
+            Some(gpu) => train_first_frame(&GpuBackend(gpu), config, task, equalise, report)?,
         })
     }
 

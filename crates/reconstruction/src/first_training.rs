@@ -1,6 +1,6 @@
-//! The training of frame 0: a trial where cameras are few, all Gaussians together, once more where exposures differ, then the split.
+//! The training of frame 0: a trial where cameras are few, all Gaussians together, from its middle on in one exposure, then the split.
 
-use crate::exposures::{Exposures, can_be_told};
+use crate::exposures::Exposures;
 use crate::few_views::trial;
 use crate::initial_points::start;
 use crate::marking::split;
@@ -9,13 +9,11 @@ use crate::sky::sky_or_none;
 use anyhow::Result;
 use ffgs_core::{Gaussians, Scene, SkyCube, StageLog, TrainingView, stage};
 use ffgs_method::{Split, ViewAt};
-use ffgs_trainer::{FirstFrame, FirstFrameConfig, camera_extent};
+use ffgs_trainer::{Equalise, FirstFrame, FirstFrameConfig, FirstFrameTask, camera_extent};
 use std::time::Instant;
 
 /// The training of few cameras' first frame without one of them, to the monitor and in the log.
 const TRIAL: &str = "first frame without its middle view";
-/// The training of frame 0 once the exposures of its cameras are removed.
-const EQUAL: &str = "first frame, exposures removed";
 
 /// Photographs of a first frame.
 pub struct FirstViews {
@@ -90,7 +88,7 @@ impl Reconstructor<'_> {
     /// Few cameras: how far is the scene to be trusted between them?
     fn warn_of_few_views(&self, views: &[TrainingView], log: &mut StageLog) -> Result<()> {
         let start = Instant::now();
-        let mut train = |views: &[TrainingView]| self.train_all(TRIAL, views);
+        let mut train = |views: &[TrainingView]| self.train_all(TRIAL, views, &mut |_| None);
         if let Some(trial) = trial(self.config.first_frame.few_views, views, self.devices, &mut train)? {
             log.since(TRIAL, start);
             trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
@@ -98,27 +96,32 @@ impl Reconstructor<'_> {
         Ok(())
     }
 
-    /// Where exposures differ, the training that counts is the second one, on photographs of one exposure.
+    /// Where the exposures of the cameras differ, they are removed from `photographs`, and the training goes on with these.
     fn train_in_one_exposure(
         &self,
         photographs: &mut FirstViews,
         log: &mut StageLog,
     ) -> Result<(FirstFrame, Exposures)> {
         let FirstViews { shots, views } = photographs;
-        let config = self.first_config(views);
-        let first = self.train_all("first frame", views)?;
-        let estimating = Instant::now();
-        let exposures = if config.exposures && can_be_told(config.iterations, views.len()) {
-            Exposures::estimate(self.capture, shots, views, &first.gaussians)
-        } else {
-            Exposures::default()
+        let mut exposures = Exposures::default();
+        let mut equalise = |surfaces: &Gaussians| {
+            if !self.config.first_frame.exposures {
+                return None;
+            }
+            let estimating = Instant::now();
+            exposures = Exposures::estimate(self.capture, shots, views, surfaces);
+            log.since(stage::EXPOSURES, estimating);
+            if exposures.are_neutral() {
+                return None;
+            }
+            let mut equal = views.clone();
+            // A camera that cannot be read is told below.
+            exposures.remove(self.capture, shots, &mut equal).ok()?;
+            Some(equal)
         };
-        log.since(stage::EXPOSURES, estimating);
-        if exposures.are_neutral() {
-            return Ok((first, exposures));
-        }
+        let trained = self.train_all("first frame", views, &mut equalise)?;
         exposures.remove(self.capture, shots, views)?;
-        Ok((self.train_all(EQUAL, views)?, exposures))
+        Ok((trained, exposures))
     }
 
     /// How so many photographs are trained on.
@@ -128,16 +131,16 @@ impl Reconstructor<'_> {
     }
 
     /// One training of all Gaussians, from the capture's points.
-    fn train_all(&self, name: &'static str, views: &[TrainingView]) -> Result<FirstFrame> {
+    fn train_all(
+        &self,
+        name: &'static str,
+        views: &[TrainingView],
+        equalise: Equalise,
+    ) -> Result<FirstFrame> {
         let config = &self.first_config(views);
         let report = self.monitor.begin(name, config.iterations);
-        self.devices.first_frame(
-            config,
-            views,
-            start(self.capture, &self.config, config.sh_degree, views)?,
-            camera_extent(views),
-            self.config.seed,
-            &mut |p| report(p),
-        )
+        let start = start(self.capture, &self.config, config.sh_degree, views)?;
+        let task = FirstFrameTask { views, start, extent: camera_extent(views), seed: self.config.seed };
+        self.devices.first_frame(config, task, equalise, &mut |p| report(p))
     }
 }

@@ -6,9 +6,9 @@ use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, PixelNoise, Prior,
-    StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend, train_dynamic,
-    train_first_frame, train_sky,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, FirstFrameTask,
+    PixelNoise, Prior, StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend,
+    train_dynamic, train_first_frame, train_sky,
 };
 use ffgs_trainer_gpu::GpuBackend;
 use scene::{SKY, World, blob, information, joint, mean_psnr, perturbed, photographs, world};
@@ -200,9 +200,9 @@ fn the_first_frame_agrees() {
         max_gaussians: 120,
         ..FirstFrameConfig::default()
     };
-    let Ok(cpu) = train_first_frame(&CpuBackend, &config, &views, start.clone(), 2.0, 4, &mut |_| {});
-    let found =
-        train_first_frame(&GpuBackend(&device), &config, &views, start.clone(), 2.0, 4, &mut |_| {}).unwrap();
+    let task = || FirstFrameTask { views: &views, start: start.clone(), extent: 2.0, seed: 4 };
+    let Ok(cpu) = train_first_frame(&CpuBackend, &config, task(), &mut |_| None, &mut |_| {});
+    let found = train_first_frame(&GpuBackend(&device), &config, task(), &mut |_| None, &mut |_| {}).unwrap();
     assert!(found.gaussians.len() > start.gaussians.len() && found.gaussians.is_finite());
     let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
     assert_equal_quality("first frame", quality(&start), quality(&cpu), quality(&found));
@@ -235,8 +235,8 @@ fn assert_lanes_fail_cleanly(device: &SceneDevice, is_expected: fn(&GpuError) ->
     assert!(is_expected(&error) && cube == world.sky, "sky: {error}");
     let config = FirstFrameConfig { iterations: 40, ..FirstFrameConfig::default() };
     let start = FirstFrame { gaussians: world.moving, sky: world.sky };
-    let error =
-        train_first_frame(&backend, &config, &world.views, start, 2.0, 4, &mut |_| {}).expect_err("a fault");
+    let task = FirstFrameTask { views: &world.views, start, extent: 2.0, seed: 4 };
+    let error = train_first_frame(&backend, &config, task, &mut |_| None, &mut |_| {}).expect_err("a fault");
     assert!(is_expected(&error), "first frame: {error}");
 }
 

@@ -17,6 +17,12 @@ use std::sync::Arc;
 const RESET_OPACITY: f32 = 0.01;
 /// Share of the steps after which no floaters are removed: what they showed is learnt by others in the steps that are left.
 const LAST_CLEARING: f32 = 0.9;
+/// Share of the steps that are taken where views are few.
+const FEW_STEPS: f32 = 0.5;
+/// Share of the steps after which exposures are compared on the surfaces that there are.
+const SURFACES: f32 = 0.6;
+/// Steps per photograph before which there are none.
+const LEAST_STEPS: usize = 2;
 
 /// How frame 0 is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -107,13 +113,13 @@ impl Default for FirstFrameConfig {
 
 impl FirstFrameConfig {
     /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
-    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and of the steps (docs/adr/0076) where they are few,
+    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and half of the steps (docs/adr/0076) where they are few,
     /// and with no more Gaussians than they can tell apart.
     #[must_use]
     pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
         let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
         let told_apart = (f64::from(self.gaussians_per_pixel) * pixels as f64) as usize;
-        let shortened = |steps: usize| (steps as f32 * (1.0 - 0.5 * scarcity)).round() as usize;
+        let shortened = |steps: usize| (steps as f32 * (1.0 - (1.0 - FEW_STEPS) * scarcity)).round() as usize;
         Self {
             iterations: shortened(self.iterations),
             dropout: self.dropout * scarcity,
@@ -121,6 +127,12 @@ impl FirstFrameConfig {
             max_gaussians: self.max_gaussians.min(told_apart.max(1)),
             ..self
         }
+    }
+
+    /// The step after which the surfaces show the exposures of so many photographs; `None` where no step does.
+    fn surfaces_after(&self, views: usize) -> Option<usize> {
+        let at = (SURFACES * self.iterations as f32) as usize;
+        (at >= LEAST_STEPS * views).then_some(at)
     }
 
     /// Whether step `done` may be taken on reduced photographs.
@@ -138,54 +150,114 @@ pub struct FirstFrame {
     pub sky: SkyCube,
 }
 
-/// Trains frame 0 from `start`. `extent` is the radius of the training cameras (m).
+/// What frame 0 is trained from.
+pub struct FirstFrameTask<'a> {
+    /// Photographs.
+    pub views: &'a [TrainingView],
+    /// Gaussians at the initial points, and a sky.
+    pub start: FirstFrame,
+    /// Radius of the training cameras (m).
+    pub extent: f32,
+    /// Of the order of the views, and of the growth.
+    pub seed: u64,
+}
+
+/// Given the Gaussians of a first frame on its way: photographs that cameras of one exposure would have taken; `None` where the photographs
+/// are to stay as they are.
+pub type Equalise<'a> = &'a mut dyn FnMut(&Gaussians) -> Option<Vec<TrainingView>>;
+
+/// Trains frame 0. `equalise` is asked once, as soon as there are surfaces to compare the colours of photographs on, and never where there
+/// are too few steps for that; the steps that are left are taken on its photographs.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
 pub fn train_first_frame<B: TrainBackend>(
     backend: &B,
     config: &FirstFrameConfig,
-    views: &[TrainingView],
-    start: FirstFrame,
-    extent: f32,
-    seed: u64,
+    task: FirstFrameTask,
+    equalise: Equalise,
     report: &mut dyn FnMut(Progress),
 ) -> Result<FirstFrame, B::Error> {
+    let FirstFrameTask { views, start, extent, seed } = task;
     if views.is_empty() || config.iterations == 0 {
         return Ok(start);
     }
-    let FirstFrame { gaussians, mut sky } = start;
-    let points = gaussians.len();
-    let mut layer = Arc::new(gaussians);
-    let around = Around::TrainedSky(&mut sky, config.sky_rate);
-    let coarsest = if config.may_be_coarse(0) { reduction(config.coarse_splat_px, &layer, views) } else { 1 };
-    let pyramid = &Pyramid::new(views, coarsest);
-    let task = LayerTask {
-        sums_gradients: true,
-        coasts: config.coasting,
-        ..LayerTask::new(&mut layer, pyramid.task_views(), around)
-    };
-    let mut training = backend.upload_layer(task)?;
+    let points = start.gaussians.len();
     let density = DensityControl::new(density_config(config), seed);
-    let mut rounds = Rounds { config, views, pyramid, extent, start: points, density };
-    let schedule = Schedule {
-        iterations: config.iterations,
-        sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
-        dropout: config.dropout,
-        // What stands beside a camera veils its photograph, and is thereby kept away from the cameras (docs/adr/0064).
-        at_centres: true,
-        rates: &|iteration| rates(config, iteration, extent),
-        shown: &|view| pyramid.shown(view),
-        ..Schedule::default()
-    };
-    schedule.run(
-        &mut training,
-        &mut Epochs::new(views.len(), seed),
-        |done, training| rounds.after_step(done, training),
-        report,
-    )?;
-    training.download()?;
-    Ok(FirstFrame { gaussians: Arc::unwrap_or_clone(layer), sky })
+    let mut course = Course { config, extent, points, density, order: Epochs::new(views.len(), seed) };
+    let look = config.surfaces_after(views.len()).map(|step| (step, equalise));
+    match course.steps(backend, views, (0, start), look, report)? {
+        (trained, None) => Ok(trained),
+        (begun, Some((step, equal))) => Ok(course.steps(backend, &equal, (step, begun), None, report)?.0),
+    }
+}
+
+/// The step after which a training goes on with other photographs, and these.
+type Change = (usize, Vec<TrainingView>);
+
+/// The course of a training.
+struct Course<'a> {
+    config: &'a FirstFrameConfig,
+    extent: f32,
+    /// Number of Gaussians at the first step.
+    points: usize,
+    density: DensityControl,
+    order: Epochs,
+}
+
+impl Course<'_> {
+    /// Takes the steps after the first `done` ones, on `views`. After the step of `look` it asks whether to go on with other photographs; if
+    /// so, it ends there, with these.
+    fn steps<B: TrainBackend>(
+        &mut self,
+        backend: &B,
+        views: &[TrainingView],
+        (done, begun): (usize, FirstFrame),
+        look: Option<(usize, Equalise)>,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<(FirstFrame, Option<Change>), B::Error> {
+        let Self { config, extent, points, density, order } = self;
+        let (config, extent, points) = (*config, *extent, *points);
+        let FirstFrame { gaussians, mut sky } = begun;
+        let mut layer = Arc::new(gaussians);
+        let around = Around::TrainedSky(&mut sky, config.sky_rate);
+        let coarse = config.may_be_coarse(done);
+        let coarsest = if coarse { reduction(config.coarse_splat_px, &layer, views) } else { 1 };
+        let pyramid = &Pyramid::new(views, coarsest);
+        let task = LayerTask {
+            sums_gradients: true,
+            coasts: config.coasting,
+            ..LayerTask::new(&mut layer, pyramid.task_views(), around)
+        };
+        let mut training = backend.upload_layer(task)?;
+        let mut rounds = Rounds { config, views, pyramid, extent, points, density };
+        let schedule = Schedule {
+            iterations: config.iterations,
+            sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
+            dropout: config.dropout,
+            // What stands beside a camera veils its photograph, and is thereby kept away from the cameras (docs/adr/0064).
+            at_centres: true,
+            rates: &|iteration| rates(config, iteration, extent),
+            shown: &|view| pyramid.shown(view),
+            ..Schedule::default()
+        };
+        let mut take = |part, training: &mut B::Layer<'_>| {
+            let after = |done, training: &mut B::Layer<'_>| rounds.after_step(done, training);
+            schedule.run_part(part, training, order, after, report)
+        };
+        let looked_at = look.as_ref().map_or(done, |(step, _)| *step);
+        take(done..looked_at, &mut training)?;
+        let mut equal = None;
+        if let Some((step, equalise)) = look {
+            training
+                .revise_sky(&mut |gaussians, _| equal = equalise(gaussians).map(|views| (step, views)))?;
+        }
+        if equal.is_none() {
+            take(looked_at..config.iterations, &mut training)?;
+        }
+        training.download()?;
+        Ok((FirstFrame { gaussians: Arc::unwrap_or_clone(layer), sky }, equal))
+    }
 }
 
 /// Thresholds of the density control in frame 0.
@@ -216,8 +288,8 @@ struct Rounds<'a> {
     pyramid: &'a Pyramid<'a>,
     extent: f32,
     /// Number of Gaussians at the first step.
-    start: usize,
-    density: DensityControl,
+    points: usize,
+    density: &'a mut DensityControl,
 }
 
 impl Rounds<'_> {
@@ -228,7 +300,7 @@ impl Rounds<'_> {
         let [from, to] = c.densify_span;
         let next = (done + c.densify_every) as f32 / c.iterations as f32;
         let share = if to > from { ((next - from) / (to - from)).clamp(0.0, 1.0) } else { 1.0 };
-        let grown = self.start + (share * c.max_gaussians.saturating_sub(self.start) as f32) as usize;
+        let grown = self.points + (share * c.max_gaussians.saturating_sub(self.points) as f32) as usize;
         grown.min(c.max_gaussians)
     }
 
@@ -278,6 +350,13 @@ mod tests {
     use crate::sky::sky_colour;
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
 
+    /// On the CPU, of photographs that stay as they are.
+    fn trained(config: &FirstFrameConfig, views: &[TrainingView], start: FirstFrame) -> FirstFrame {
+        let task = FirstFrameTask { views, start, extent: 1.0, seed: 1 };
+        let Ok(trained) = train_first_frame(&CpuBackend, config, task, &mut |_| None, &mut |_| {});
+        trained
+    }
+
     #[test]
     fn what_few_views_need_ends_with_half_as_many_again() {
         let config = FirstFrameConfig {
@@ -309,10 +388,10 @@ mod tests {
             max_gaussians: 600,
             ..FirstFrameConfig::default()
         };
-        let limits = |start: usize, config: &FirstFrameConfig| {
-            let density = DensityControl::new(density_config(config), 1);
+        let limits = |points: usize, config: &FirstFrameConfig| {
+            let density = &mut DensityControl::new(density_config(config), 1);
             let pyramid = &Pyramid::new(&[], 1);
-            let rounds = Rounds { config, views: &[], pyramid, extent: 1.0, start, density };
+            let rounds = Rounds { config, views: &[], pyramid, extent: 1.0, points, density };
             [100, 300, 500, 600].map(|done| rounds.limit(done))
         };
         assert_eq!(limits(100, &config), [200, 400, 600, 600]);
@@ -347,8 +426,7 @@ mod tests {
         let moved_by = |coasting: bool| {
             let config = FirstFrameConfig { iterations: 10, coasting, ..FirstFrameConfig::default() };
             let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
-            let Ok(trained) =
-                train_first_frame(&CpuBackend, &config, &views, start.clone(), 1.0, 1, &mut |_| {});
+            let trained = trained(&config, &views, start.clone());
             (trained.gaussians.sh[0][0] - start.gaussians.sh[0][0]).abs()
         };
         let (coasting, stays) = (moved_by(true), moved_by(false));
@@ -368,7 +446,7 @@ mod tests {
         let mut start = crate::from_points(&[[0.0, 0.0, 2.0]], &[[0.9; 3]], 0, 0.5);
         // Six pixels: as large as one and a half of blocks of 4.
         start.log_scales.fill([0.3_f32.ln(); 3]);
-        let trained = |view: &TrainingView, coarse_splat_px: f32, coarse_until: f32| {
+        let layer = |view: &TrainingView, coarse_splat_px: f32, coarse_until: f32| {
             let (iterations, hidden_sky) = (10, 0.0);
             let config = FirstFrameConfig {
                 iterations,
@@ -379,14 +457,13 @@ mod tests {
             };
             let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
             let views = std::slice::from_ref(view);
-            let Ok(trained) = train_first_frame(&CpuBackend, &config, views, start, 1.0, 1, &mut |_| {});
-            trained.gaussians
+            trained(&config, views, start).gaussians
         };
-        let (whole, reduced) = (trained(&view, 0.0, 1.0), trained(&view.reduced(4), 0.0, 1.0));
+        let (whole, reduced) = (layer(&view, 0.0, 1.0), layer(&view.reduced(4), 0.0, 1.0));
         assert_ne!(whole, reduced);
-        assert_eq!(trained(&view, 1.0, 1.0), reduced);
-        assert_eq!(trained(&view, 1.0, 0.0), whole);
-        let half = trained(&view, 1.0, 0.5);
+        assert_eq!(layer(&view, 1.0, 1.0), reduced);
+        assert_eq!(layer(&view, 1.0, 0.0), whole);
+        let half = layer(&view, 1.0, 0.5);
         assert!(half != whole && half != reduced, "five steps each");
     }
 
@@ -406,10 +483,46 @@ mod tests {
                 sky: SkyCube::filled(8, [0.9; 3]),
             };
             let views = std::slice::from_ref(&view);
-            let Ok(trained) = train_first_frame(&CpuBackend, &config, views, start, 1.0, 1, &mut |_| {});
+            let trained = trained(&config, views, start);
             sky_colour(&trained.sky, glam::Vec3::NEG_Z)[0]
         };
         assert_eq!(behind_after(0.0), 0.9);
         assert!((behind_after(0.9) - 0.2).abs() < 1e-3, "{}", behind_after(0.9));
+    }
+
+    #[test]
+    fn exposures_are_compared_once_and_the_training_goes_on_with_equal_photographs() {
+        let size = ImageSize { width: 24, height: 16 };
+        let intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 12.0, cy: 8.0 };
+        let grey = |value: u8| TrainingView {
+            camera: Camera::new(intrinsics, glam::DMat4::IDENTITY, size).unwrap(),
+            image: ImageRgb8::new(size, vec![value; 3 * size.pixels()]).unwrap(),
+            mask: Mask::filled(size, false),
+        };
+        let mut start = crate::from_points(&[[0.0, 0.0, 2.0]], &[[0.5; 3]], 0, 0.98);
+        start.log_scales.fill([0.0; 3]);
+        // Brightness of the Gaussian after so many steps on dark photographs, and on what they are exchanged for.
+        let brightness = |iterations: usize, equal: Option<u8>| {
+            let config = FirstFrameConfig { iterations, hidden_sky: 0.0, ..FirstFrameConfig::default() };
+            let views = [grey(51), grey(51)];
+            let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
+            let task = FirstFrameTask { views: &views, start, extent: 1.0, seed: 1 };
+            let (mut asked, mut steps) = (Vec::new(), 0);
+            let mut equalise = |gaussians: &Gaussians| {
+                asked.push(gaussians.len());
+                equal.map(|value| vec![grey(value); 2])
+            };
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut equalise, &mut |p| {
+                steps += 1;
+                assert_eq!((p.iteration, p.iterations), (steps, iterations));
+            });
+            assert_eq!(steps, iterations);
+            (asked, trained.gaussians.sh[0][0])
+        };
+        let (asked, darker) = brightness(100, None);
+        assert!(asked == [1] && darker < start.sh[0][0], "{darker}");
+        let (asked, brighter) = brightness(100, Some(204));
+        assert!(asked == [1] && brighter > darker + 0.1, "{brighter} and {darker}");
+        assert_eq!(brightness(6, Some(204)).0, Vec::<usize>::new(), "three steps show no surfaces");
     }
 }

@@ -81,7 +81,7 @@ fn log_depths(layer: &Gaussians, camera: &Camera) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CpuBackend, FirstFrame, FirstFrameConfig, train_first_frame};
+    use crate::{CpuBackend, FirstFrame, FirstFrameConfig, FirstFrameTask, train_first_frame};
     use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube, logit};
     use glam::DMat4;
 
@@ -150,8 +150,8 @@ mod tests {
                 ..Default::default()
             };
             let start = FirstFrame { gaussians: scene(&before), sky: SkyCube::filled(4, [0.2; 3]) };
-            let views = [view(40), view(60)];
-            let Ok(trained) = train_first_frame(&CpuBackend, &config, &views, start, 1.0, 1, &mut |_| {});
+            let task = FirstFrameTask { views: &[view(40), view(60)], start, extent: 1.0, seed: 1 };
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |_| {});
             trained.gaussians.len()
         };
         assert_eq!([count(0.0), count(OPAQUE)], [scene(&before).len(), scene(&before).len() - 1]);

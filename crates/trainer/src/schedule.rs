@@ -7,6 +7,7 @@ use ffgs_rasterizer::{Dropout, RenderOptions};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
 
 /// Draws items in epochs: every item once, or as often as its weight says, in a seeded random order, then again in another.
 #[derive(Clone, Debug)]
@@ -129,11 +130,26 @@ impl Schedule<'_> {
         &self,
         training: &mut T,
         views: &mut Epochs,
+        after: impl FnMut(usize, &mut T) -> Result<(), T::Error>,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<usize, T::Error> {
+        self.run_part(0..self.iterations, training, views, after, report)
+    }
+
+    /// The same for a part of the schedule.
+    ///
+    /// # Errors
+    /// When the device fails, or `after` does.
+    pub fn run_part<T: Training>(
+        &self,
+        part: Range<usize>,
+        training: &mut T,
+        views: &mut Epochs,
         mut after: impl FnMut(usize, &mut T) -> Result<(), T::Error>,
         report: &mut dyn FnMut(Progress),
     ) -> Result<usize, T::Error> {
-        let (mut iteration, mut pace, mut steps) = (0, 1, 0_usize);
-        while iteration < self.iterations {
+        let (mut iteration, mut pace, mut steps) = (part.start, 1, 0_usize);
+        while iteration < part.end {
             let Some(view) = views.draw() else { break };
             training.forward((self.shown)(view), self.options(iteration))?;
             training.backward()?;
@@ -144,7 +160,7 @@ impl Schedule<'_> {
                 training.step(&rates)?;
             }
             steps += 1;
-            iteration = (iteration + pace).min(self.iterations);
+            iteration = (iteration + pace).min(part.end);
             after(iteration, training)?;
             training.progress(iteration, self.iterations)?.into_iter().for_each(&mut *report);
             if pace == 1 && self.has_settled((steps, share), training)? {
@@ -225,6 +241,25 @@ mod tests {
         // Less than 1 / 15 is expected after 20 steps.
         assert_eq!(taken(100, 1.0 / 15.0), (60, share(98)));
         assert_eq!(taken(33, 1.0 / 15.0), (27, share(32)));
+    }
+
+    #[test]
+    fn parts_of_a_schedule_are_all_of_it() {
+        let mut training = Declining::default();
+        let (mut views, mut places) = (Epochs::new(3, 1), Vec::new());
+        let schedule =
+            Schedule { iterations: 7, natural: &|iteration| 1.0 + iteration as f32, ..Schedule::default() };
+        for part in [0..0, 0..3, 3..7, 7..7] {
+            let note = |place: usize, _: &mut Declining| {
+                places.push(place);
+                Ok(())
+            };
+            let count = part.len();
+            let Ok(steps) = schedule.run_part(part, &mut training, &mut views, note, &mut |_| ());
+            assert_eq!(steps, count);
+        }
+        assert_eq!(places, [1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(training.shares, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     }
 
     #[test]

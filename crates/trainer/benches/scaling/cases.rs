@@ -5,8 +5,8 @@ use crate::{held, memory};
 use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
-    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, StaticColours, StaticLane,
-    StaticTargets, Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
+    BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, FirstFrameTask,
+    StaticColours, StaticLane, StaticTargets, Surroundings, TILE_DILATION, train_dynamic, train_first_frame,
 };
 use std::fmt;
 use std::sync::Arc;
@@ -134,8 +134,8 @@ impl Case {
         memory::restart_peak();
         let mut clock = Clock::start();
         let start = FirstFrame { gaussians, sky };
-        let Ok(trained) =
-            train_first_frame(&CpuBackend, &config, views, start, 1e-6, 1, &mut |_| clock.tick());
+        let task = FirstFrameTask { views, start, extent: 1e-6, seed: 1 };
+        let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |_| clock.tick());
         let peak = memory::peak();
         (clock, peak, held::first_frame(&trained.gaussians, self.size, views.len()) as f64)
     }

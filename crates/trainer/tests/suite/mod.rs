@@ -7,10 +7,10 @@ use ffgs_core::{
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use ffgs_trainer::{
-    Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig, Gain,
-    LayerTask, LayerTraining, LearningRates, LossRegion, PhotometricLoss, Prior, Schedule, SkyView,
-    StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TaskView, TrainBackend,
-    information_gain, pixel_length, train_dynamic, train_first_frame, train_sky,
+    Around, BackgroundConfig, Columns, DynamicLaneConfig, Epochs, FirstFrame, FirstFrameConfig,
+    FirstFrameTask, Gain, LayerTask, LayerTraining, LearningRates, LossRegion, PhotometricLoss, Prior,
+    Schedule, SkyView, StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TaskView,
+    TrainBackend, information_gain, pixel_length, train_dynamic, train_first_frame, train_sky,
 };
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -313,7 +313,8 @@ pub(crate) fn first_frame<B: TrainBackend>(backend: &B, world: &World) -> FirstF
     let start = joint(&recoloured(&world.fixed), &world.disturbed());
     let sky = SkyCube::filled(8, [0.5; 3]);
     let start = FirstFrame { gaussians: start, sky };
-    train_first_frame(backend, &config, &world.views, start, 4.0, SEED, &mut |_| {}).unwrap()
+    let task = FirstFrameTask { views: &world.views, start, extent: 4.0, seed: SEED };
+    train_first_frame(backend, &config, task, &mut |_| None, &mut |_| {}).unwrap()
 }
 
 pub(crate) fn the_first_frame_comes_nearer_to_the_photographs<B: TrainBackend>(backend: &B) {
