@@ -28,12 +28,14 @@ pub enum CalibrationError {
     #[error(transparent)]
     Array(#[from] ArraysError),
     /// No format recognises the folder.
-    #[error("{}: no calibration was recognised; looked for {looked_for}", .folder.display())]
+    #[error("{}: no calibration was recognised; looked for {looked_for}; there is {found}", .folder.display())]
     Unrecognised {
         /// The folder.
         folder: PathBuf,
         /// The files that each format asks for.
         looked_for: String,
+        /// Other files that are there, in words.
+        found: String,
     },
     /// There is no format of this name.
     #[error("there is no format '{name}'; the formats are {known}")]
@@ -64,7 +66,8 @@ impl CalibrationError {
                 "export the calibration again, or name another with --format and the folder that holds it"
             }
             Self::Unrecognised { .. } => {
-                "put the calibration file beside the videos, or name it with --format"
+                "name the folder that holds both the calibration and the pictures; a calibration of another program can be written as a \
+                 TOML (docs/footage.md)"
             }
             Self::NoSuchFormat { .. } => "choose one of them, or leave --format out",
         }

@@ -57,6 +57,7 @@ impl Media {
     /// with that word in its name (`session_3-back.mp4`), which `assumed` tells.
     pub fn likely_of_camera(&self, names: &[String], assumed: &mut Vec<String>) -> Option<Pictures> {
         if let Some(pictures) = self.of_camera(names) {
+            assumed.extend(self.told_of_several(names, &pictures));
             return Some(pictures);
         }
         let in_folder =
@@ -65,6 +66,23 @@ impl Media {
         let video = names.iter().find_map(in_folder).or_else(|| names.iter().find_map(with_word))?;
         assumed.push(format!("{} is the video of camera '{}'", video.display(), names[0]));
         Some(Pictures::Video(video.clone()))
+    }
+
+    /// Which pictures were taken, where several videos and folders go by a name of the camera.
+    fn told_of_several(&self, names: &[String], taken: &Pictures) -> Option<String> {
+        let fits = |path: &Path| names.iter().any(|name| stem(path).eq_ignore_ascii_case(name));
+        let others = self.videos.iter().chain(self.folders.keys()).filter(|path| fits(path)).count();
+        let taken = match taken {
+            Pictures::Video(file) => Some(file.as_path()),
+            Pictures::Files(files) => files.first().and_then(|file| file.parent()),
+        }?;
+        (others > 1).then(|| {
+            format!(
+                "{} has the pictures of camera '{}', of {others} that go by its name",
+                taken.display(),
+                names[0]
+            )
+        })
     }
 
     fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<&PathBuf> {
@@ -106,7 +124,7 @@ impl Media {
             let footage = !NOT_FOOTAGE.iter().any(|name| is_named(&path, name));
             return if depth > 0 && footage { self.visit(&path, depth - 1) } else { Ok(()) };
         }
-        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let ending = ending(&path);
         if VIDEOS.contains(&ending.as_str()) {
             self.videos.push(path);
         } else if IMAGES.contains(&ending.as_str()) {
@@ -121,6 +139,17 @@ impl Media {
 pub(crate) fn is_footage(path: &Path) -> bool {
     let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
     !hidden && !path.join("prepare.json").exists()
+}
+
+/// Whether a file is a video or an image, by its name.
+pub(crate) fn is_picture(path: &Path) -> bool {
+    let ending = ending(path);
+    VIDEOS.contains(&ending.as_str()) || IMAGES.contains(&ending.as_str())
+}
+
+/// The ending of a file's name, in lower case.
+fn ending(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 /// The file name without folder and ending.
@@ -232,5 +261,22 @@ mod tests {
         assert_eq!([of("A"), of("b")], [video(files[2]), video(files[3])]);
         assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
         assert!(assumed.len() == 3 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
+    }
+
+    #[test]
+    fn one_of_several_videos_of_a_camera_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        for file in ["calibration/port_1.mp4", "recordings/trial/port_1.mp4", "port_2.mp4"] {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        let media = Media::find(folder.path()).unwrap();
+        let mut assumed = Vec::new();
+        for name in ["port_1", "port_2"] {
+            assert!(media.likely_of_camera(&[name.to_owned()], &mut assumed).is_some());
+        }
+        assert!(assumed.len() == 1 && assumed[0].contains("calibration/port_1.mp4"), "{assumed:?}");
+        assert!(assumed[0].ends_with("of camera 'port_1', of 2 that go by its name"), "{assumed:?}");
     }
 }

@@ -74,6 +74,12 @@ pub enum CameraError {
         /// Determinant of the 3x3 block.
         determinant: f64,
     },
+    /// The 3x3 block is a rotation and a mirror image.
+    #[error(
+        "camera_from_world mirrors the world (its determinant is -1), as left-handed axes do; negated, one axis of the world is right \
+         for all cameras"
+    )]
+    Mirrored,
     /// A value that no lens and no scene has.
     #[error("{what} of {value:e} is not plausible")]
     Implausible {
@@ -142,6 +148,9 @@ impl Camera {
         let gram = rotation * rotation.transpose() - DMat3::IDENTITY;
         let error = gram.to_cols_array().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         let determinant = rotation.determinant();
+        if error <= Self::RIGID_TOLERANCE && determinant < 0.0 {
+            return Err(CameraError::Mirrored);
+        }
         if !(error <= Self::RIGID_TOLERANCE && determinant > 0.0) {
             return Err(CameraError::NotRigid { error, determinant });
         }
@@ -152,6 +161,21 @@ impl Camera {
             size,
             reduction: 1,
         })
+    }
+
+    /// What is wrong where the principal point lies outside of the image.
+    pub fn stray_principal_point(&self) -> Option<String> {
+        let (Intrinsics { cx, cy, .. }, ImageSize { width, height }) = (self.intrinsics, self.size);
+        // Rounding may put a point on the edge to either side of it.
+        let inside = |c: f64, length: usize| (1e-6..1.0 - 1e-6).contains(&(c / length as f64));
+        if inside(cx, width) && inside(cy, height) {
+            return None;
+        }
+        let exchanged =
+            if inside(cy, width) && inside(cx, height) { "; are cx and cy exchanged?" } else { "" };
+        Some(format!(
+            "the principal point ({cx:.0}, {cy:.0}) of its {width} x {height} image lies outside or on its edge{exchanged}"
+        ))
     }
 
     /// Pixels of the photograph along a side of a pixel: 1 unless the view was [reduced](Self::reduced).
@@ -348,8 +372,22 @@ mod tests {
     fn refuses_what_is_not_a_camera() {
         let mut mirrored = DMat4::IDENTITY;
         mirrored.x_axis.x = -1.0;
-        assert!(matches!(camera(mirrored), Err(CameraError::NotRigid { .. })));
+        assert_eq!(camera(mirrored), Err(CameraError::Mirrored));
+        assert!(matches!(camera(DMat4::from_scale(DVec3::splat(2.0))), Err(CameraError::NotRigid { .. })));
         assert_eq!(camera(DMat4::from_translation(DVec3::NAN)), Err(CameraError::NotFinite));
         assert!(camera(DMat4::IDENTITY).unwrap().project(DVec3::new(0.0, 0.0, -1.0)).is_none());
+    }
+
+    #[test]
+    fn a_principal_point_outside_is_told_and_whether_it_is_exchanged() {
+        let size = ImageSize { width: 384, height: 192 };
+        let of = |cx: f64, cy: f64| {
+            let intrinsics = Intrinsics { fx: 300.0, fy: 300.0, cx, cy };
+            Camera::new(intrinsics, DMat4::IDENTITY, size).unwrap().stray_principal_point()
+        };
+        assert_eq!([of(192.0, 96.0), of(10.0, 180.0)], [None, None]);
+        assert!(of(96.0, 192.0).unwrap().ends_with("are cx and cy exchanged?"));
+        let far = of(800.0, 400.0).unwrap();
+        assert!(far.contains("(800, 400) of its 384 x 192 image") && !far.contains("exchanged"), "{far}");
     }
 }

@@ -28,7 +28,7 @@ pub(crate) fn find(capture: &dyn Capture, points: &Points, views: &[ViewSummary]
         let file = capture.part(Part::Cameras(split));
         for (name, camera) in cameras(capture, split) {
             let (found, told) = principal_point(&name, &camera);
-            let fix = "scale the intrinsics with the images: they belong to another size".to_owned();
+            let fix = "write the intrinsics for the size of the images".to_owned();
             faults.extend(found.map(|problem| Fault { file: file.clone(), problem, fix }));
             notes.extend(told.map(|text| Note { file: file.clone(), text }));
         }
@@ -104,21 +104,18 @@ fn inverted_masks(capture: &dyn Capture, views: &[ViewSummary]) -> Option<Fault>
 
 /// A principal point outside of the image is a fault, one far from its middle is told.
 fn principal_point(name: &str, camera: &Camera) -> (Option<String>, Option<String>) {
+    if let Some(stray) = camera.stray_principal_point() {
+        return (Some(format!("camera '{name}': {stray}")), None);
+    }
     let (k, size) = (camera.intrinsics(), camera.size());
     let (width, height) = (size.width as f64, size.height as f64);
+    let off = ((k.cx / width - 0.5).abs()).max((k.cy / height - 0.5).abs()) > OFF_CENTRE;
     let text = format!(
-        "camera '{name}': the principal point ({:.0}, {:.0}) of its {} x {} image",
+        "camera '{name}': the principal point ({:.0}, {:.0}) of its {} x {} image is far from the middle: do the intrinsics belong to \
+         this size?",
         k.cx, k.cy, size.width, size.height
     );
-    let inside = (0.0..=width).contains(&k.cx) && (0.0..=height).contains(&k.cy);
-    let off = ((k.cx / width - 0.5).abs()).max((k.cy / height - 0.5).abs()) > OFF_CENTRE;
-    match (inside, off) {
-        (false, _) => (Some(format!("{text} lies outside")), None),
-        (true, true) => {
-            (None, Some(format!("{text} is far from the middle: do the intrinsics belong to this size?")))
-        }
-        _ => (None, None),
-    }
+    (None, off.then_some(text))
 }
 
 /// Test cameras that are trained on measure nothing.

@@ -172,7 +172,7 @@ fn every_camera_may_have_its_own_image_size() {
 fn invalid_cameras_are_faults() {
     for (from, to, text) in [
         ("[0,0,1,2]", "[0,0,NaN,2]", "camera 'a', frame 0: camera holds a value that is not finite"),
-        ("[0,0,1,2]", "[0,0,-1,2]", "not a rigid transform"),
+        ("[0,0,1,2]", "[0,0,-1,2]", "mirrors the world"),
         ("[[4,0", "[[-Infinity,0", "not finite"),
         ("[[4,0", "[[0,0", "focal lengths must be positive"),
         ("[[4,0", "[[1e300,0", "a focal length of 1e300 is not plausible"),

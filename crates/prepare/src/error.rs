@@ -93,7 +93,9 @@ impl PrepareError {
             Self::NoFfmpeg { .. } => {
                 "install ffmpeg (Debian: sudo apt-get install ffmpeg) so that it is on the PATH"
             }
-            Self::Footage(_) => "see docs/footage.md for what each format asks for",
+            Self::Footage(_) => {
+                "correct the option or the footage; docs/footage.md tells what each format asks for"
+            }
             Self::Output { .. } => "choose another --out, or make the step again with --force",
             Self::CleanPlates { .. } => {
                 "name the pictures of the empty scene as the cameras, in a folder beside the footage or one called clean_plates"

@@ -2,6 +2,7 @@
 
 use crate::camera_lists::write_json;
 use crate::{PrepareError, Request, Step};
+use ffgs_calibration::{Footage, SourceCamera};
 use ffgs_core::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -23,6 +24,9 @@ pub(crate) struct Journal {
     /// The clean plates that the masks were made from.
     #[serde(default)]
     pub clean_plates: Option<PathBuf>,
+    /// The calibration that the pictures were made by: the checksum of each camera.
+    #[serde(default)]
+    pub calibration: BTreeMap<String, u32>,
     /// Where the capture's origin lies in the calibration's world (its unit).
     pub origin: [f64; 3],
     /// Metres in a unit of the calibration.
@@ -84,6 +88,23 @@ impl Journal {
         Err(PrepareError::Output { folder: request.out.clone(), reason })
     }
 
+    /// Pictures that are there were made by the calibration of now.
+    pub(crate) fn refuse_other_calibration(
+        &self,
+        footage: &Footage,
+        request: &Request,
+    ) -> Result<(), PrepareError> {
+        let now = checksums(footage);
+        let differs = |name: &&String| self.calibration.get(*name) != now.get(*name);
+        let camera = self.calibration.keys().chain(now.keys()).find(differs);
+        // Journals of before the checksums have none.
+        let (Some(camera), false) = (camera, self.calibration.is_empty()) else { return Ok(()) };
+        let reason = format!(
+            "camera '{camera}' is calibrated otherwise than when its pictures were made; --force pictures makes everything again"
+        );
+        Err(PrepareError::Output { folder: request.out.clone(), reason })
+    }
+
     /// Writes the journal.
     pub(crate) fn save(&self, out: &Path) -> Result<(), PrepareError> {
         write_json(&path(out), &json!(self))
@@ -104,6 +125,13 @@ impl Journal {
     pub(crate) fn skip(&mut self, sentences: &[String]) {
         add(&mut self.skipped, sentences);
     }
+}
+
+/// A checksum of each camera's lens and poses.
+pub(crate) fn checksums(footage: &Footage) -> BTreeMap<String, u32> {
+    let checksum =
+        |camera: &SourceCamera| crc32fast::hash(format!("{:?} {:?}", camera.lens, camera.poses).as_bytes());
+    footage.cameras.iter().map(|camera| (camera.name.clone(), checksum(camera))).collect()
 }
 
 fn add(list: &mut Vec<String>, sentences: &[String]) {

@@ -19,6 +19,10 @@ use std::cell::Cell;
 const PARTS: usize = 5;
 const MAPS: usize = 2;
 
+/// Said where no camera's picture shows anything again that another's shows.
+const DISAGREE: &str = "no two cameras agree on a single point: is the calibration that of these pictures, and world-to-camera with x right, \
+     y down, z forward?";
+
 /// Tells how far the work is.
 struct Parts<'a> {
     progress: &'a dyn Progress,
@@ -59,12 +63,16 @@ pub(crate) fn make(
     parts.finish(1);
     let still =
         matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground.as_ref()));
-    let text = format!(
+    let mut text = format!(
         "{}, {} in the visual hull, {} spread in depth",
         matched.account,
         moving.hull.len(),
         moving.spread.len() + still.len()
     );
+    if matched.points.is_empty() && moving.hull.is_empty() {
+        tracing::warn!("{DISAGREE}");
+        text = format!("{text}; {DISAGREE}");
+    }
     rows.extend([moving.hull, moving.spread].concat());
     rows.extend(still.iter().map(|p| row(p.position, p.colour, false)));
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;

@@ -39,6 +39,7 @@ fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, Prepa
     }
     let (format, calibration) = detect(&request.source, request.format.as_deref())?;
     let mut footage = (format.read)(&request.source, &calibration)?;
+    journal.refuse_other_calibration(&footage, request)?;
     let mut summary = Summary::default();
     summary.row("footage", format!("{} ({})", request.source.display(), format.name));
     summary.row("calibration", calibration.display().to_string());
@@ -97,6 +98,12 @@ fn take(
     if step == Step::Pictures {
         return make_pictures(footage, request, journal, progress);
     }
+    if !journal.steps.contains_key(&Step::Pictures) {
+        let reason = format!(
+            "it has no pictures yet, of which {step} are made; take that step first, or leave --only out"
+        );
+        return Err(PrepareError::Output { folder: request.out.clone(), reason });
+    }
     let capture = Capture::open(&request.out)?;
     if step == Step::Masks {
         journal.clean_plates = request.clean_plates.as_deref().map(journal::absolute);
@@ -141,6 +148,7 @@ fn make_pictures(
     let rig = rig(footage, request)?;
     let sequences: Vec<_> = rig.cameras.iter().map(|c| c.sequence.clone()).collect();
     let schedule = schedule(&sequences, footage.timestamps.as_deref(), request)?;
+    journal.calibration = journal::checksums(footage);
     (journal.origin, journal.metres_per_unit) = (rig.origin.to_array(), rig.metres_per_unit);
     journal.assume(&footage.assumed);
     journal.assume(&rig.assumed);

@@ -6,6 +6,7 @@ use ffgs_dataset::{Capture, Split, check};
 use ffgs_prepare::{Layout, Request, Step, Summary, TestCameras, convert, prepare};
 use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
 use image::{Rgb, RgbImage};
+use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -73,13 +74,26 @@ fn footage(empty: usize, frames: usize) -> TempDir {
 /// A folder with a TOML calibration and a picture folder per camera: a picture for each place of the ball.
 fn footage_at(places: &[f64]) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let mut toml = String::new();
     for i in 0..CAMERAS {
+        let pictures = folder.path().join(format!("cam_{i}"));
+        fs::create_dir(&pictures).unwrap();
+        for (number, place) in places.iter().enumerate() {
+            picture_at(i, *place).save(pictures.join(format!("{}.png", number + 1))).unwrap();
+        }
+    }
+    fs::write(folder.path().join("calibration.toml"), toml(|pose| pose)).unwrap();
+    folder
+}
+
+/// The calibration, with poses as `stored`.
+fn toml(stored: impl Fn(DMat4) -> DMat4) -> String {
+    let section = |i: usize| {
         let camera = camera(i);
         let k = camera.intrinsics();
-        let r = camera.rotation().transpose().to_cols_array_2d();
-        let t = camera.translation();
-        let camera = format!(
+        let pose = stored(camera.camera_from_world());
+        let r = DMat3::from_mat4(pose).transpose().to_cols_array_2d();
+        let t = pose.w_axis;
+        format!(
             "[cam_{i}]\nsize = [{}, {}]\nmatrix = [[{}, 0.0, {}], [0.0, {}, {}], [0.0, 0.0, 1.0]]\n\
              distortions = []\nrotation = {r:?}\ntranslation = [{}, {}, {}]\n",
             SIZE.width,
@@ -91,16 +105,9 @@ fn footage_at(places: &[f64]) -> TempDir {
             t.x,
             t.y,
             t.z
-        );
-        toml.push_str(&camera);
-        let pictures = folder.path().join(format!("cam_{i}"));
-        fs::create_dir(&pictures).unwrap();
-        for (number, place) in places.iter().enumerate() {
-            picture_at(i, *place).save(pictures.join(format!("{}.png", number + 1))).unwrap();
-        }
-    }
-    fs::write(folder.path().join("calibration.toml"), toml).unwrap();
-    folder
+        )
+    };
+    (0..CAMERAS).map(section).collect()
 }
 
 fn request(folder: &TempDir) -> Request {
@@ -275,6 +282,68 @@ fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
     let summary = run(&request).to_string();
     assert!(summary.contains("2 to 3 pictures"), "{summary}");
     assert_eq!(Capture::open(&request.out).unwrap().frames(), 2);
+}
+
+#[test]
+fn another_calibration_is_told_and_read_when_pictures_are_made_again() {
+    let folder = footage(0, 2);
+    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
+    run(&request);
+    let file = folder.path().join("calibration.toml");
+    let pose =
+        |of: &Request| Capture::open(&of.out).unwrap().camera(Split::Train, 2, 0).unwrap().translation();
+    let before = pose(&request);
+    fs::write(&file, format!("# looked through\n{}", toml(|pose| pose))).unwrap();
+    run(&request);
+    fs::write(&file, toml(|pose| DMat4::from_translation(DVec3::Z) * pose)).unwrap();
+    let told = error(&request);
+    assert!(
+        told.contains("camera 'cam_0' is calibrated otherwise") && told.contains("--force pictures"),
+        "{told}"
+    );
+    run(&Request { force: vec![Step::Pictures], ..request.clone() });
+    assert!((pose(&request) - before).length() > 0.5, "{before}");
+}
+
+#[test]
+fn steps_without_pictures_and_folders_without_a_calibration_are_told() {
+    let folder = footage(0, 2);
+    let masks = error(&Request { only: vec![Step::Masks], ..request(&folder) });
+    assert!(masks.contains("no pictures yet, of which masks are made"), "{masks}");
+    fs::rename(folder.path().join("calibration.toml"), folder.path().join("cameras.pkl")).unwrap();
+    let unrecognised = error(&request(&folder));
+    assert!(
+        unrecognised.contains("looked for") && unrecognised.ends_with("there is cameras.pkl"),
+        "{unrecognised}"
+    );
+    fs::remove_file(folder.path().join("cameras.pkl")).unwrap();
+    assert!(error(&request(&folder)).ends_with("there is no file but pictures and videos"));
+}
+
+/// As with cameras of which the calibration says that all look away from the scene.
+#[test]
+fn cameras_that_agree_on_nothing_are_told() {
+    let told = |stored: fn(DMat4) -> DMat4| {
+        let folder = footage(4, 4);
+        // Without texture nothing agrees by chance.
+        for i in 0..CAMERAS {
+            for file in fs::read_dir(folder.path().join(format!("cam_{i}"))).unwrap() {
+                let file = file.unwrap().path();
+                let mut picture = image::open(&file).unwrap().into_rgb8();
+                picture
+                    .pixels_mut()
+                    .for_each(|p| p.0 = if p.0[0] > 150 { [220, 60, 50] } else { [70, 90, 110] });
+                picture.save(&file).unwrap();
+            }
+        }
+        fs::write(folder.path().join("calibration.toml"), toml(stored)).unwrap();
+        let only = vec![Step::Pictures, Step::Masks, Step::Points];
+        let request = Request { only, start: 4, ..request(&folder) };
+        run(&request).to_string()
+    };
+    let (sound, away) = (told(|pose| pose), told(|pose| DMat4::from_rotation_y(PI) * pose));
+    assert!(!sound.contains("no two cameras agree"), "{sound}");
+    assert!(away.contains("no two cameras agree on a single point"), "{away}");
 }
 
 #[test]

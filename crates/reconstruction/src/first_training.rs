@@ -60,7 +60,7 @@ impl Reconstructor<'_> {
         photographs: &mut FirstViews,
         log: &mut StageLog,
     ) -> Result<(Scene, Exposures)> {
-        self.warn_of_few_views(&photographs.views, log)?;
+        self.warn_of_few_views(photographs, log)?;
         let (trained, exposures) = self.train_in_one_exposure(photographs, log)?;
         let sky = sky_or_none(trained.sky, &trained.gaussians, photographs.training());
         Ok((self.split(&trained.gaussians, sky, photographs)?, exposures))
@@ -86,12 +86,15 @@ impl Reconstructor<'_> {
     }
 
     /// Few cameras: how far is the scene to be trusted between them?
-    fn warn_of_few_views(&self, views: &[TrainingView], log: &mut StageLog) -> Result<()> {
+    fn warn_of_few_views(&self, photographs: &FirstViews, log: &mut StageLog) -> Result<()> {
         let start = Instant::now();
         let mut train = |views: &[TrainingView]| self.train_all(TRIAL, views, &mut |_| None);
+        let FirstViews { shots, views } = photographs;
         if let Some(trial) = trial(self.config.first_frame.few_views, views, self.devices, &mut train)? {
             log.since(TRIAL, start);
-            trial.warning(views.len()).into_iter().for_each(|warning| log.warn(warning));
+            let left_out = shots[trial.view];
+            let camera = &self.capture.views(left_out.split)[left_out.view];
+            trial.warning(camera).into_iter().for_each(|warning| log.warn(warning));
         }
         Ok(())
     }

@@ -19,11 +19,12 @@ pub use panoptic::FORMAT as PANOPTIC;
 pub use poses_bounds::FORMAT as N3DV;
 pub use transforms::FORMAT as TRANSFORMS;
 
-use crate::media::{is_footage, natural_order};
+use crate::media::{is_footage, is_picture, natural_order};
 use crate::{CalibrationError, Footage, SourceCamera};
 use ffgs_core::{Camera, ImageSize, Intrinsics, open_input};
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use image::ImageReader;
+use std::cell::Cell;
 use std::fs;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -59,9 +60,34 @@ pub fn detect(folder: &Path, name: Option<&str>) -> Result<(Format, PathBuf), Ca
     let mut found = formats.clone().filter_map(|f| Some((*f, (f.find)(folder)?)));
     found.next().ok_or_else(|| {
         let looked_for = formats.map(|f| f.looks_for).collect::<Vec<_>>().join(", ");
-        CalibrationError::Unrecognised { folder: folder.to_owned(), looked_for }
+        CalibrationError::Unrecognised { folder: folder.to_owned(), looked_for, found: other_files(folder) }
     })
 }
+
+/// Names of some files in or below a folder that are no pictures, in words.
+fn other_files(folder: &Path) -> String {
+    let found = Cell::new(Vec::new());
+    let note = |path: &Path| {
+        let mut names = found.take();
+        if path.is_file() && !is_picture(path) && names.len() <= SHOWN {
+            names.push(path.strip_prefix(folder).unwrap_or(path).display().to_string());
+        }
+        found.set(names);
+        false
+    };
+    find_below(folder, &note);
+    let mut names = found.take();
+    match names.len() {
+        0 => "no file but pictures and videos".to_owned(),
+        count => {
+            names.truncate(SHOWN);
+            format!("{}{}", names.join(", "), if count > SHOWN { " and others" } else { "" })
+        }
+    }
+}
+
+/// Files that a message names.
+const SHOWN: usize = 6;
 
 /// How far below the footage's folder a calibration is looked for.
 const DEPTH: usize = 3;
@@ -97,7 +123,10 @@ fn read_text(file: &Path) -> Result<String, CalibrationError> {
 fn checked(camera: SourceCamera, file: &Path) -> Result<SourceCamera, CalibrationError> {
     for pose in &camera.poses {
         let pinhole = Camera::new(camera.lens.intrinsics, *pose, camera.lens.size);
-        pinhole.map_err(|e| CalibrationError::content(file, format!("camera '{}': {e}", camera.name)))?;
+        let fault = pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
+        if let Some(fault) = fault {
+            return Err(CalibrationError::content(file, format!("camera '{}': {fault}", camera.name)));
+        }
     }
     Ok(camera)
 }
