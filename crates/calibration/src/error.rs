@@ -63,7 +63,7 @@ impl CalibrationError {
         match self {
             Self::Io { .. } => "add the file or its read permission",
             Self::Content { .. } | Self::Array(_) => {
-                "export the calibration again, or name another with --format and the folder that holds it"
+                "correct the calibration or export it again, or name another with --format and the folder that holds it"
             }
             Self::Unrecognised { .. } => {
                 "name the folder that holds both the calibration and the pictures; a calibration of another program can be written as a \

@@ -76,8 +76,8 @@ pub enum CameraError {
     },
     /// The 3x3 block is a rotation and a mirror image.
     #[error(
-        "camera_from_world mirrors the world (its determinant is -1), as left-handed axes do; negated, one axis of the world is right \
-         for all cameras"
+        "camera_from_world mirrors the world (its determinant is -1): its axes are left-handed; negate the same column of the rotations \
+         of all cameras, and that axis of all points"
     )]
     Mirrored,
     /// A value that no lens and no scene has.

@@ -18,7 +18,7 @@ const RESET_OPACITY: f32 = 0.01;
 /// Share of the steps after which no floaters are removed: what they showed is learnt by others in the steps that are left.
 const LAST_CLEARING: f32 = 0.9;
 /// Share of the steps that are taken where views are few.
-const FEW_STEPS: f32 = 0.5;
+const FEW_STEPS: f32 = 0.35;
 /// Share of the steps after which exposures are compared on the surfaces that there are.
 const SURFACES: f32 = 0.6;
 /// Steps per photograph before which there are none.
@@ -28,7 +28,7 @@ const LEAST_STEPS: usize = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FirstFrameConfig {
-    /// Steps, one view each; half of them where views are few.
+    /// Steps, one view each; 35 % of them where views are few.
     pub iterations: usize,
     /// SH degree of the colours (0..=3); one degree more is switched on at each tenth of the steps.
     pub sh_degree: usize,
@@ -113,7 +113,7 @@ impl Default for FirstFrameConfig {
 
 impl FirstFrameConfig {
     /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
-    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and half of the steps (docs/adr/0076) where they are few,
+    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and 35 % of the steps (docs/adr/0076) where they are few,
     /// and with no more Gaussians than they can tell apart.
     #[must_use]
     pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
@@ -370,8 +370,8 @@ mod tests {
             let config = config.for_photographs(views, 1000);
             (config.dropout, config.scale_rate, config.iterations)
         };
-        let few = (0.4, 0.25, 1500);
-        let expected = [few, few, (0.2, 0.375, 2250), (0.0, 0.5, 3000), (0.0, 0.5, 3000)];
+        let few = (0.4, 0.25, 1050);
+        let expected = [few, few, (0.2, 0.375, 2025), (0.0, 0.5, 3000), (0.0, 0.5, 3000)];
         assert_eq!([3, 12, 15, 18, 40].map(of), expected);
         let never = FirstFrameConfig { few_views: 0, ..config };
         let never = [1, 3].map(|views| never.for_photographs(views, 1000));
