@@ -1,7 +1,7 @@
 //! The training of frame 0: a trial where cameras are few, all Gaussians together, from its middle on in one exposure, then the split.
 
 use crate::exposures::Exposures;
-use crate::few_views::trial;
+use crate::few_views::{self, trial};
 use crate::initial_points::start;
 use crate::marking::split;
 use crate::reconstructor::Reconstructor;
@@ -88,7 +88,11 @@ impl Reconstructor<'_> {
     /// Few cameras: how far is the scene to be trusted between them?
     fn warn_of_few_views(&self, photographs: &FirstViews, log: &mut StageLog) -> Result<()> {
         let start = Instant::now();
-        let mut train = |views: &[TrainingView]| self.train_all(TRIAL, views, &mut |_| None);
+        let mut train = |views: &[TrainingView]| {
+            let config = self.first_config(views);
+            let iterations = (few_views::STEPS * config.iterations as f32) as usize;
+            self.train_all(TRIAL, &FirstFrameConfig { iterations, ..config }, views, &mut |_| None)
+        };
         let FirstViews { shots, views } = photographs;
         if let Some(trial) = trial(self.config.first_frame.few_views, views, self.devices, &mut train)? {
             log.since(TRIAL, start);
@@ -122,12 +126,12 @@ impl Reconstructor<'_> {
             exposures.remove(self.capture, shots, &mut equal).ok()?;
             Some(equal)
         };
-        let trained = self.train_all("first frame", views, &mut equalise)?;
+        let trained = self.train_all("first frame", &self.first_config(views), views, &mut equalise)?;
         exposures.remove(self.capture, shots, views)?;
         Ok((trained, exposures))
     }
 
-    /// How so many photographs are trained on.
+    /// How the first frame is trained on such photographs.
     fn first_config(&self, views: &[TrainingView]) -> FirstFrameConfig {
         let pixels = views.iter().map(|view| view.image.size().pixels()).sum();
         self.config.first_frame.for_photographs(views.len(), pixels)
@@ -137,10 +141,10 @@ impl Reconstructor<'_> {
     fn train_all(
         &self,
         name: &'static str,
+        config: &FirstFrameConfig,
         views: &[TrainingView],
         equalise: Equalise,
     ) -> Result<FirstFrame> {
-        let config = &self.first_config(views);
         let report = self.monitor.begin(name, config.iterations);
         let start = start(self.capture, &self.config, config.sh_degree, views)?;
         let task = FirstFrameTask { views, start, extent: camera_extent(views), seed: self.config.seed };

@@ -4,10 +4,12 @@ use ffgs_core::{Gaussians, StageLog, sigmoid, stage};
 use ffgs_method::{Split, TrackSource, ViewAt};
 use ffgs_motion::{MotionConfig, TrackerMotion};
 use ffgs_reconstruction::{
-    Devices, Earlier, Exposures, FirstViews, ReconstructionConfig, Reconstructor, Silent, State,
+    Devices, Earlier, Exposures, FirstViews, Monitor, ReconstructionConfig, Reconstructor, Report, Silent,
+    State,
 };
 use ffgs_testkit::conformance::World;
 use glam::DVec3;
+use std::sync::Mutex;
 
 const COUNT: usize = 120;
 /// Part of the way that a Gaussian may be off: under a footprint the motion is a mean over depths.
@@ -71,6 +73,36 @@ fn each_frame_starts_from_the_state_of_the_one_before() {
         }
     }
     assert_eq!(state.scene.dynamic.ids.len(), COUNT);
+}
+
+/// Notes the trainings that begin, with their steps.
+#[derive(Default)]
+struct Begun(Mutex<Vec<(&'static str, usize)>>);
+
+impl Monitor for Begun {
+    fn begin(&self, name: &'static str, iterations: usize) -> Report<'_> {
+        self.0.lock().unwrap().push((name, iterations));
+        Box::new(|_| {})
+    }
+}
+
+#[test]
+fn few_views_take_a_short_trial_and_a_short_first_frame() {
+    let world = World::new(COUNT, DVec3::ZERO);
+    let begun = Begun::default();
+    let mut reconstructor = Reconstructor { monitor: &begun, ..reconstructor(&world, &[]) };
+    reconstructor.config.first_frame.iterations = 100;
+    let shots = VIEWS.map(|view| ViewAt { split: Split::Train, view, frame: 0 }).to_vec();
+    let photographs = FirstViews { shots, views: world.training(0) };
+    let mut log = StageLog::default();
+    reconstructor.first_frame(0, photographs, None, &mut log).unwrap();
+    let trial = "first frame without its middle view";
+    assert_eq!(*begun.0.lock().unwrap(), [(trial, 15), ("first frame", 35)]);
+    assert!(
+        log.seconds.contains_key(trial) && log.seconds.contains_key(stage::EXPOSURES),
+        "{:?}",
+        log.seconds
+    );
 }
 
 #[test]

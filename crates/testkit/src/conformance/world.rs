@@ -186,6 +186,13 @@ impl Capture for World {
     }
 
     fn points(&self) -> Result<Option<Points>, Fault> {
-        Ok(None)
+        let positions: Vec<[f32; 3]> = self.places_at(0).map(|place| place.as_vec3().to_array()).collect();
+        let count = positions.len();
+        Ok(Some(Points {
+            positions,
+            colours: vec![[0.5; 3]; count],
+            foreground: vec![true; count],
+            dropped: 0,
+        }))
     }
 }
