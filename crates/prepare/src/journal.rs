@@ -94,14 +94,16 @@ impl Journal {
         footage: &Footage,
         request: &Request,
     ) -> Result<(), PrepareError> {
-        let now = checksums(footage);
-        let differs = |name: &&String| self.calibration.get(*name) != now.get(*name);
-        let camera = self.calibration.keys().chain(now.keys()).find(differs);
+        let (then, now) = (&self.calibration, checksums(footage));
+        let camera = then.keys().chain(now.keys()).find(|name| then.get(*name) != now.get(*name));
         // Journals of before the checksums have none.
-        let (Some(camera), false) = (camera, self.calibration.is_empty()) else { return Ok(()) };
-        let reason = format!(
-            "camera '{camera}' is calibrated otherwise than when its pictures were made; --force pictures makes everything again"
-        );
+        let (Some(camera), false) = (camera, then.is_empty()) else { return Ok(()) };
+        let differs = match (then.get(camera), now.get(camera)) {
+            (Some(_), None) => "is no longer in the footage",
+            (None, _) => "was not in the footage when the pictures were made",
+            _ => "was calibrated otherwise when its pictures were made",
+        };
+        let reason = format!("camera '{camera}' {differs}; --force pictures makes everything again");
         Err(PrepareError::Output { folder: request.out.clone(), reason })
     }
 

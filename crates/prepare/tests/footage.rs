@@ -298,11 +298,14 @@ fn another_calibration_is_told_and_read_when_pictures_are_made_again() {
     fs::write(&file, toml(|pose| DMat4::from_translation(DVec3::Z) * pose)).unwrap();
     let told = error(&request);
     assert!(
-        told.contains("camera 'cam_0' is calibrated otherwise") && told.contains("--force pictures"),
+        told.contains("camera 'cam_0' was calibrated otherwise") && told.contains("--force pictures"),
         "{told}"
     );
     run(&Request { force: vec![Step::Pictures], ..request.clone() });
     assert!((pose(&request) - before).length() > 0.5, "{before}");
+    let all = fs::read_to_string(&file).unwrap();
+    fs::write(&file, all.split_once("[cam_5]").unwrap().0).unwrap();
+    assert!(error(&request).contains("camera 'cam_5' is no longer in the footage"));
 }
 
 #[test]
