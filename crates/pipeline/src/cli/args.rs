@@ -120,7 +120,7 @@ pub struct RunArgs {
     /// Take this many steps of Adam per frame for the static layer's colours, instead of one linear solve (0 = leave them)
     #[arg(long, value_name = "N")]
     pub static_iterations: Option<usize>,
-    /// Iterations of the first frame, half of them with up to first_frame.few_views views [default: first_frame.iterations of the settings]
+    /// Iterations of the first frame, 35 % of them with up to first_frame.few_views views [default: first_frame.iterations of the settings]
     #[arg(long, value_name = "N")]
     pub first_iterations: Option<usize>,
     /// Frames A to B, B left out; `..B` and `A..` are allowed
