@@ -70,15 +70,17 @@ impl Media {
 
     /// Which pictures were taken, where several videos and folders go by a name of the camera.
     fn told_of_several(&self, names: &[String], taken: &Pictures) -> Option<String> {
-        let fits = |path: &Path| names.iter().any(|name| stem(path).eq_ignore_ascii_case(name));
-        let others = self.videos.iter().chain(self.folders.keys()).filter(|path| fits(path)).count();
+        let goes_by = |called: &dyn Fn(&str) -> bool| names.iter().any(|name| called(name));
+        let videos = self.videos.iter().filter(|v| goes_by(&|name| stem(v).eq_ignore_ascii_case(name)));
+        let folders = self.folders.keys().filter(|folder| goes_by(&|name| is_named(folder, name)));
+        let all = videos.count() + folders.count();
         let taken = match taken {
             Pictures::Video(file) => Some(file.as_path()),
             Pictures::Files(files) => files.first().and_then(|file| file.parent()),
         }?;
-        (others > 1).then(|| {
+        (all > 1).then(|| {
             format!(
-                "{} has the pictures of camera '{}', of {others} that go by its name",
+                "{} has the pictures of camera '{}', of {all} that go by its name",
                 taken.display(),
                 names[0]
             )

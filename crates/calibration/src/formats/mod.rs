@@ -64,6 +64,9 @@ pub fn detect(folder: &Path, name: Option<&str>) -> Result<(Format, PathBuf), Ca
     })
 }
 
+/// Files that a message names.
+const SHOWN: usize = 6;
+
 /// Names of some files in or below a folder that are no pictures, in words.
 fn other_files(folder: &Path) -> String {
     let found = Cell::new(Vec::new());
@@ -85,9 +88,6 @@ fn other_files(folder: &Path) -> String {
         }
     }
 }
-
-/// Files that a message names.
-const SHOWN: usize = 6;
 
 /// How far below the footage's folder a calibration is looked for.
 const DEPTH: usize = 3;
