@@ -10,10 +10,13 @@ use crate::outputs::folder::RunFolder;
 use crate::settings::config::Config;
 use anyhow::{Context, Result};
 use ffgs_method::{Capture, Part, ViewAt};
+use ffgs_trainer::FirstFrameConfig;
 use std::path::Path;
 
 /// Bytes of a pixel's photograph and mask.
 const PIXEL: usize = 4;
+/// What reduced copies of photographs add, as a share of these: a quarter, a sixteenth and so on.
+const REDUCED: f64 = 1.0 / 3.0;
 /// Bytes of a trained Gaussian: parameters, gradients, two moments.
 const GAUSSIAN: usize = 944;
 /// Bytes of a static Gaussian in the five vectors of the static solve.
@@ -52,6 +55,8 @@ struct Size {
     /// Pixels of the training views, and of the views that only frame 0 has.
     pixels: [usize; 2],
     gaussians: usize,
+    /// Whether the first frame is trained.
+    begins: bool,
     /// Whether lanes train frames after the first.
     streams: bool,
 }
@@ -68,9 +73,11 @@ impl Need {
         } else {
             0
         };
+        // The frame and the one before it.
+        let two_frames = mib(PIXEL * 2 * training);
+        let first_frame = copies(&config.first_frame) * mib(PIXEL * (training + initial));
         Self {
-            // The frame and the one before it.
-            photographs: mib(PIXEL * (2 * training).max(training + initial)),
+            photographs: if size.begins { two_frames.max(first_frame) } else { two_frames },
             ahead: mib(PIXEL * training),
             solve: mib(solve),
             gaussians: mib(GAUSSIAN * size.gaussians),
@@ -95,8 +102,8 @@ impl Need {
     fn told(&self, budget: f64) -> String {
         let gib = |mib: f64| mib / 1024.0;
         format!(
-            "the run needs about {:.1} GiB of memory and may take {:.1} GiB: {:.1} GiB for the photographs and masks of two \
-             frames, {:.1} GiB for Gaussians in training, {:.1} GiB for the static solve. Use fewer views (--train-views) or \
+            "the run needs about {:.1} GiB of memory and may take {:.1} GiB: {:.1} GiB for the photographs and masks, \
+             {:.1} GiB for Gaussians in training, {:.1} GiB for the static solve. Use fewer views (--train-views) or \
              smaller images, lower background.solve_memory_mib, or set background.static_method to \"steps\"; or say with --memory how much it may take (MiB)",
             gib(self.total()),
             gib(budget),
@@ -105,6 +112,14 @@ impl Need {
             gib(REST * self.solve)
         )
     }
+}
+
+/// How often the photographs of a first frame are held while it is trained, at most: reduced, where splats may be coarse, and with their
+/// exposures removed, where these may differ.
+fn copies(config: &FirstFrameConfig) -> f64 {
+    let reduced = if config.coarse_splat_px > 0.0 { REDUCED } else { 0.0 };
+    let equal = if config.exposures { 1.0 } else { 0.0 };
+    1.0 + reduced + equal
 }
 
 /// Refuses a run that needs more than it may take: `--memory`, else what the machine has free. Where the system does not tell,
@@ -135,7 +150,8 @@ pub(crate) fn require(
         let started = if first.max_points == 0 { points } else { points.min(first.max_points) };
         started.max(first.for_photographs(views.len(), pixels.iter().sum()).max_gaussians)
     };
-    let need = Need::new(&request.config, Size { pixels, gaussians, streams });
+    let begins = request.first_frame.is_none();
+    let need = Need::new(&request.config, Size { pixels, gaussians, begins, streams });
     let room = need.room(budget).with_context(|| need.told(budget))?;
     tracing::debug!("about {:.0} MiB of memory, {budget:.0} MiB may be taken", need.total());
     if room == Room::ForTheRun {
@@ -154,7 +170,25 @@ mod tests {
     use super::*;
     use ffgs_trainer::StaticMethod;
 
-    const PAPER: Size = Size { pixels: [60 * 1920 * 1080, 0], gaussians: 1_200_000, streams: true };
+    const PAPER: Size =
+        Size { pixels: [60 * 1920 * 1080, 0], gaussians: 1_200_000, begins: false, streams: true };
+
+    #[test]
+    fn a_first_frame_holds_copies_of_its_photographs() {
+        let photographs = |first_frame: FirstFrameConfig, pixels, begins| {
+            let config = Config { first_frame, ..Config::default() };
+            Need::new(&config, Size { pixels, begins, ..PAPER }).photographs
+        };
+        let (copied, plain) = (
+            FirstFrameConfig::default(),
+            FirstFrameConfig { coarse_splat_px: 0.0, exposures: false, ..FirstFrameConfig::default() },
+        );
+        let pixels = [1 << 20, 1 << 20];
+        assert_eq!(photographs(plain, pixels, true), 8.0, "training views and the others");
+        assert!((photographs(copied, pixels, true) - 8.0 * 7.0 / 3.0).abs() < 1e-9);
+        assert_eq!(photographs(copied, pixels, false), 8.0, "two frames of the training views");
+        assert_eq!(photographs(plain, [1 << 20, 0], true), 8.0, "two frames need more than the first");
+    }
 
     #[test]
     fn the_papers_size_needs_what_it_was_computed_to_need() {
