@@ -3,6 +3,7 @@
 use crate::ablations::{self, AblationArgs};
 use crate::compare::{self, CompareArgs};
 use crate::enlarge::{self, EnlargeArgs};
+use crate::later::{self, LaterArgs};
 use crate::mask_eval::{self, MaskEvalArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
@@ -36,6 +37,8 @@ enum Command {
     Synthetic(SyntheticArgs),
     /// Enlarge the images, masks and tracks of a capture
     Enlarge(EnlargeArgs),
+    /// Make a capture of one later frame, to tell what a run has lost by then
+    Later(LaterArgs),
 }
 
 /// Runs the program on its command line. An error is printed with its causes.
@@ -72,6 +75,10 @@ fn dispatch(command: Command) -> Result<()> {
         Command::Enlarge(args) => {
             args.log.start();
             enlarge::run(&args)
+        }
+        Command::Later(args) => {
+            args.log.start();
+            later::run(&args)
         }
     }
 }
