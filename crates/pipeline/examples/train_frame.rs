@@ -2,7 +2,7 @@
 //! `cargo run --release --example train_frame -- CAPTURE OUT.ply [ITERATIONS]`
 
 use anyhow::{Context, Result, bail};
-use ffgs_core::SkyCube;
+use ffgs_core::{SkyCube, StageLog};
 use ffgs_pipeline::job::frame;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_trainer::{
@@ -25,7 +25,8 @@ fn main() -> Result<()> {
     let gaussians = from_points(&points.positions, &points.colours, config.sh_degree, INITIAL_OPACITY);
     let start = FirstFrame { gaussians, sky: SkyCube::filled(64, [0.5; 3]) };
     let task = FirstFrameTask { views: &views, start, extent: camera_extent(&views), seed: 1 };
-    let trained = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |step| {
+    let mut log = StageLog::default();
+    let trained = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut log, &mut |step| {
         if step.iteration % 50 == 0 {
             println!("step {}: PSNR {:.2} dB, {} Gaussians", step.iteration, step.psnr, step.gaussians);
         }

@@ -1,7 +1,7 @@
 //! Training and rendering on the device of a run: each function picks the CPU or a GPU.
 
 use anyhow::Result;
-use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, TrainingView};
+use ffgs_core::{Camera, Gaussians, PlanarImage, Scene, SkyCube, StageLog, TrainingView};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use ffgs_rasterizer_gpu::{GpuRasterizer, GpuScene, SceneDevice};
 use ffgs_trainer::{
@@ -53,11 +53,12 @@ impl<'a> Devices<'a> {
         config: &FirstFrameConfig,
         task: FirstFrameTask,
         equalise: Equalise,
+        log: &mut StageLog,
         report: Report,
     ) -> Result<FirstFrame> {
         Ok(match self.gpu(0) {
-            None => train_first_frame(&CpuBackend, config, task, equalise, report)?,
-            Some(gpu) => train_first_frame(&GpuBackend(gpu), config, task, equalise, report)?,
+            None => train_first_frame(&CpuBackend, config, task, equalise, log, report)?,
+            Some(gpu) => train_first_frame(&GpuBackend(gpu), config, task, equalise, log, report)?,
         })
     }
 

@@ -91,7 +91,9 @@ impl Reconstructor<'_> {
         let mut train = |views: &[TrainingView]| {
             let config = self.first_config(views);
             let iterations = (few_views::STEPS * config.iterations as f32) as usize;
-            self.train_all(TRIAL, &FirstFrameConfig { iterations, ..config }, views, &mut |_| None)
+            // What comes and goes in the trial is of no interest.
+            let log = &mut StageLog::default();
+            self.train_all(TRIAL, &FirstFrameConfig { iterations, ..config }, views, &mut |_| None, log)
         };
         let FirstViews { shots, views } = photographs;
         if let Some(trial) = trial(self.config.first_frame.few_views, views, self.devices, &mut train)? {
@@ -110,14 +112,14 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<(FirstFrame, Exposures)> {
         let FirstViews { shots, views } = photographs;
-        let mut exposures = Exposures::default();
+        let (mut exposures, mut estimating) = (Exposures::default(), None);
         let mut equalise = |surfaces: &Gaussians| {
             if !self.config.first_frame.exposures {
                 return None;
             }
-            let estimating = Instant::now();
+            let start = Instant::now();
             exposures = Exposures::estimate(self.capture, shots, views, surfaces);
-            log.since(stage::EXPOSURES, estimating);
+            estimating = Some(start.elapsed().as_secs_f64());
             if exposures.are_neutral() {
                 return None;
             }
@@ -126,7 +128,8 @@ impl Reconstructor<'_> {
             exposures.remove(self.capture, shots, &mut equal).ok()?;
             Some(equal)
         };
-        let trained = self.train_all("first frame", &self.first_config(views), views, &mut equalise)?;
+        let trained = self.train_all("first frame", &self.first_config(views), views, &mut equalise, log)?;
+        estimating.into_iter().for_each(|seconds| log.add_seconds(stage::EXPOSURES, seconds));
         exposures.remove(self.capture, shots, views)?;
         Ok((trained, exposures))
     }
@@ -144,10 +147,11 @@ impl Reconstructor<'_> {
         config: &FirstFrameConfig,
         views: &[TrainingView],
         equalise: Equalise,
+        log: &mut StageLog,
     ) -> Result<FirstFrame> {
         let report = self.monitor.begin(name, config.iterations);
         let start = start(self.capture, &self.config, config.sh_degree, views)?;
         let task = FirstFrameTask { views, start, extent: camera_extent(views), seed: self.config.seed };
-        self.devices.first_frame(config, task, equalise, &mut |p| report(p))
+        self.devices.first_frame(config, task, equalise, log, &mut |p| report(p))
     }
 }

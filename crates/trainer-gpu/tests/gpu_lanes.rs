@@ -2,7 +2,7 @@
 
 mod scene;
 
-use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use ffgs_core::{Gaussians, SkyCube, StageLog, TrainingView};
 use ffgs_gpu::{Gpu, GpuError};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_trainer::{
@@ -201,8 +201,10 @@ fn the_first_frame_agrees() {
         ..FirstFrameConfig::default()
     };
     let task = || FirstFrameTask { views: &views, start: start.clone(), extent: 2.0, seed: 4 };
-    let Ok(cpu) = train_first_frame(&CpuBackend, &config, task(), &mut |_| None, &mut |_| {});
-    let found = train_first_frame(&GpuBackend(&device), &config, task(), &mut |_| None, &mut |_| {}).unwrap();
+    let log = &mut StageLog::default();
+    let Ok(cpu) = train_first_frame(&CpuBackend, &config, task(), &mut |_| None, log, &mut |_| {});
+    let found =
+        train_first_frame(&GpuBackend(&device), &config, task(), &mut |_| None, log, &mut |_| {}).unwrap();
     assert!(found.gaussians.len() > start.gaussians.len() && found.gaussians.is_finite());
     let quality = |f: &FirstFrame| mean_psnr(&f.gaussians, &f.sky, &views);
     assert_equal_quality("first frame", quality(&start), quality(&cpu), quality(&found));
@@ -236,7 +238,9 @@ fn assert_lanes_fail_cleanly(device: &SceneDevice, is_expected: fn(&GpuError) ->
     let config = FirstFrameConfig { iterations: 40, ..FirstFrameConfig::default() };
     let start = FirstFrame { gaussians: world.moving, sky: world.sky };
     let task = FirstFrameTask { views: &world.views, start, extent: 2.0, seed: 4 };
-    let error = train_first_frame(&backend, &config, task, &mut |_| None, &mut |_| {}).expect_err("a fault");
+    let log = &mut StageLog::default();
+    let error =
+        train_first_frame(&backend, &config, task, &mut |_| None, log, &mut |_| {}).expect_err("a fault");
     assert!(is_expected(&error), "first frame: {error}");
 }
 

@@ -5,6 +5,7 @@
 
 use crate::constants::{BETA1, BETA2, CORRECTED_STEPS, EPSILON};
 use crate::density_control::IndexMap;
+use crate::rates::LearningRates;
 use ffgs_core::Gaussians;
 use ffgs_core::kernel::{Kernel, dispatch, fma};
 use rayon::prelude::*;
@@ -13,30 +14,6 @@ use rayon::prelude::*;
 const CHUNK: usize = 512;
 /// Of the widest column, the SH coefficients of degree 3.
 const NO_GRADIENT: [f32; 48] = [0.0; 48];
-
-/// Step sizes per column of a Gaussian set; 0 freezes a column.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LearningRates {
-    /// Positions (m).
-    pub means: f32,
-    /// Quaternions.
-    pub quats: f32,
-    /// Log scales.
-    pub scales: f32,
-    /// Opacity logits.
-    pub opacities: f32,
-    /// SH coefficient 0.
-    pub sh0: f32,
-    /// SH coefficients of degree 1 and above.
-    pub sh_rest: f32,
-}
-
-impl LearningRates {
-    /// 3DGS defaults with the given position rate (m), usually a schedule times the scene's extent.
-    pub const fn with_means(means: f32) -> Self {
-        Self { means, quats: 1e-3, scales: 5e-3, opacities: 5e-2, sh0: 2.5e-3, sh_rest: 1.25e-4 }
-    }
-}
 
 /// Which parameters of Gaussians move. No moments are kept of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,9 @@
 //! Where training is computed. Schedules, the order of views, density control and the loops of the lanes exist once, in
 //! this crate; a backend has the memory and the arithmetic of single steps (docs/adr/0032-where-training-is-computed.md).
 
-use crate::adam::{Columns, LearningRates};
+use crate::adam::Columns;
 use crate::density_control::{GradientSums, IndexMap};
+use crate::rates::LearningRates;
 use crate::{Prior, Progress};
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};
 use ffgs_rasterizer::{RenderOptions, TileMask};

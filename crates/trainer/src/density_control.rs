@@ -123,6 +123,11 @@ impl DensityPlan {
         self.clone.retain(|&i| !gone[i]);
         self.split.retain(|&i| !gone[i]);
     }
+
+    /// How many are removed.
+    pub(crate) fn removed(&self) -> usize {
+        self.prune.iter().filter(|&&prune| prune).count()
+    }
 }
 
 /// Where each Gaussian of the new set came from.

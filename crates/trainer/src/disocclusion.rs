@@ -5,10 +5,11 @@
 //! have seen are optimised with all their parameters, against the pixels that they cover. The moving layer is drawn along,
 //! as it is: were its pixels left out, what stands beside it would grow into its place.
 
-use crate::adam::LearningRates;
 use crate::backend::TrainBackend;
 use crate::lengths::robust_extent;
-use crate::schedule::{Schedule, decay};
+use crate::rates::LearningRates;
+use crate::rates::decay;
+use crate::schedule::Schedule;
 use crate::subset::{Subset, shown, train_subset};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, SkyCube, TrainingView};

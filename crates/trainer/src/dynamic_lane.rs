@@ -4,12 +4,13 @@
 //! image = front + T_front (dynamic over behind). A step then touches only the moving Gaussians and the tiles under
 //! the dilated mask.
 
-use crate::adam::LearningRates;
 use crate::backend::{Around, CutLayers, LayerTask, TaskView, TrainBackend};
 use crate::layer_lane::train_layer;
 use crate::lengths::{TILE_DILATION, pixel_length};
 use crate::prior::Prior;
-use crate::schedule::{Epochs, Schedule, decay};
+use crate::rates::LearningRates;
+use crate::rates::decay;
+use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::TileMask;

@@ -1,15 +1,15 @@
 //! Frame 0: static, dynamic and sky together, from points, trackside and initialisation views.
 
-use crate::adam::LearningRates;
 use crate::backend::{Around, LayerTask, LayerTraining, Revision, TrainBackend};
 use crate::density_control::{DensityConfig, DensityControl, DensityPlan, Split, reset_opacities};
 use crate::floaters::floaters;
 use crate::hidden_sky::fill_hidden;
 use crate::pyramid::Pyramid;
+use crate::rates::{LearningRates, cool_down, decay};
 use crate::resolution::reduction;
-use crate::schedule::{Epochs, Schedule, decay};
+use crate::schedule::{Epochs, Schedule};
 use crate::view::Progress;
-use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use ffgs_core::{Gaussians, SkyCube, StageLog, TrainingView};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -44,6 +44,8 @@ pub struct FirstFrameConfig {
     pub opacity_rate: f32,
     /// Rate of SH coefficients of degree 1 and above.
     pub sh_rest_rate: f32,
+    /// Share of the steps, the last ones, over which all rates of Gaussians fall to zero; none where views are few.
+    pub cool_down: f32,
     /// Steps between two rounds of growth and removal; 0 = none.
     pub densify_every: usize,
     /// Growth begins and ends at these shares of the steps.
@@ -91,6 +93,7 @@ impl Default for FirstFrameConfig {
             scale_rate: 3e-2,
             opacity_rate: 3e-2,
             sh_rest_rate: 3.75e-4,
+            cool_down: 0.3,
             densify_every: 200,
             densify_span: [0.1, 0.6],
             coarse_splat_px: 1.5,
@@ -113,8 +116,8 @@ impl Default for FirstFrameConfig {
 
 impl FirstFrameConfig {
     /// For `views` photographs with `pixels` pixels together: with the share of `dropout` that they need, all of it where they are few
-    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070) and 35 % of the steps (docs/adr/0076) where they are few,
-    /// and with no more Gaussians than they can tell apart.
+    /// and none with half as many again, with half of `scale_rate` (docs/adr/0070), 35 % of the steps (docs/adr/0076) and no `cool_down` (docs/adr/0089)
+    /// where they are few, and with no more Gaussians than they can tell apart.
     #[must_use]
     pub fn for_photographs(self, views: usize, pixels: usize) -> Self {
         let scarcity = (3.0 - 2.0 * views as f32 / self.few_views as f32).clamp(0.0, 1.0);
@@ -124,6 +127,7 @@ impl FirstFrameConfig {
             iterations: shortened(self.iterations),
             dropout: self.dropout * scarcity,
             scale_rate: self.scale_rate * (1.0 - 0.5 * scarcity),
+            cool_down: self.cool_down * (1.0 - scarcity),
             max_gaussians: self.max_gaussians.min(told_apart.max(1)),
             ..self
         }
@@ -167,7 +171,7 @@ pub struct FirstFrameTask<'a> {
 pub type Equalise<'a> = &'a mut dyn FnMut(&Gaussians) -> Option<Vec<TrainingView>>;
 
 /// Trains frame 0. `equalise` is asked once, as soon as there are surfaces to compare the colours of photographs on, and never where there
-/// are too few steps for that; the steps that are left are taken on its photographs.
+/// are too few steps for that; the steps that are left are taken on its photographs. What came and went is counted in `log`.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -176,6 +180,7 @@ pub fn train_first_frame<B: TrainBackend>(
     config: &FirstFrameConfig,
     task: FirstFrameTask,
     equalise: Equalise,
+    log: &mut StageLog,
     report: &mut dyn FnMut(Progress),
 ) -> Result<FirstFrame, B::Error> {
     let FirstFrameTask { views, start, extent, seed } = task;
@@ -184,7 +189,8 @@ pub fn train_first_frame<B: TrainBackend>(
     }
     let points = start.gaussians.len();
     let density = DensityControl::new(density_config(config), seed);
-    let mut course = Course { config, extent, points, density, order: Epochs::new(views.len(), seed) };
+    let order = Epochs::new(views.len(), seed);
+    let mut course = Course { config, extent, points, density, order, log };
     let look = config.surfaces_after(views.len()).map(|step| (step, equalise));
     match course.steps(backend, views, (0, start), look, report)? {
         (trained, None) => Ok(trained),
@@ -203,6 +209,7 @@ struct Course<'a> {
     points: usize,
     density: DensityControl,
     order: Epochs,
+    log: &'a mut StageLog,
 }
 
 impl Course<'_> {
@@ -216,7 +223,7 @@ impl Course<'_> {
         look: Option<(usize, Equalise)>,
         report: &mut dyn FnMut(Progress),
     ) -> Result<(FirstFrame, Option<Change>), B::Error> {
-        let Self { config, extent, points, density, order } = self;
+        let Self { config, extent, points, density, order, log } = self;
         let (config, extent, points) = (*config, *extent, *points);
         let FirstFrame { gaussians, mut sky } = begun;
         let mut layer = Arc::new(gaussians);
@@ -230,7 +237,7 @@ impl Course<'_> {
             ..LayerTask::new(&mut layer, pyramid.task_views(), around)
         };
         let mut training = backend.upload_layer(task)?;
-        let mut rounds = Rounds { config, views, pyramid, extent, points, density };
+        let mut rounds = Rounds { config, views, pyramid, extent, points, density, log };
         let schedule = Schedule {
             iterations: config.iterations,
             sh_degree: &|iteration| Some(iteration * 10 / config.iterations),
@@ -279,6 +286,7 @@ fn rates(c: &FirstFrameConfig, iteration: usize, extent: f32) -> LearningRates {
         sh_rest: c.sh_rest_rate,
         ..LearningRates::with_means(rate)
     }
+    .scaled(cool_down(c.cool_down, iteration, c.iterations))
 }
 
 /// Growth and removal of Gaussians, the resolution of photographs, the reset of opacities and the sky where it is hidden, at their steps.
@@ -290,6 +298,7 @@ struct Rounds<'a> {
     /// Number of Gaussians at the first step.
     points: usize,
     density: &'a mut DensityControl,
+    log: &'a mut StageLog,
 }
 
 impl Rounds<'_> {
@@ -330,9 +339,13 @@ impl Rounds<'_> {
             if grows {
                 self.density.set_limit(self.limit(done));
                 plan = self.density.plan(gaussians, sums, self.extent);
+                self.log.change("split or cloned", plan.split.len() + plan.clone.len());
+                self.log.change("removed: faded", plan.removed());
             }
             if clears {
+                let before = plan.removed();
                 plan.remove(&floaters(gaussians, c.floater_opacity, self.views));
+                self.log.change("removed: in mid-air", plan.removed() - before);
             }
             let map = (grows || clears).then(|| self.density.apply(&plan, gaussians));
             if refines {
@@ -353,7 +366,14 @@ mod tests {
     /// On the CPU, of photographs that stay as they are.
     fn trained(config: &FirstFrameConfig, views: &[TrainingView], start: FirstFrame) -> FirstFrame {
         let task = FirstFrameTask { views, start, extent: 1.0, seed: 1 };
-        let Ok(trained) = train_first_frame(&CpuBackend, config, task, &mut |_| None, &mut |_| {});
+        let Ok(trained) = train_first_frame(
+            &CpuBackend,
+            config,
+            task,
+            &mut |_| None,
+            &mut StageLog::default(),
+            &mut |_| {},
+        );
         trained
     }
 
@@ -364,19 +384,15 @@ mod tests {
             iterations: 3000,
             dropout: 0.4,
             scale_rate: 0.5,
+            cool_down: 0.5,
             ..FirstFrameConfig::default()
         };
-        let of = |views: usize| {
-            let config = config.for_photographs(views, 1000);
-            (config.dropout, config.scale_rate, config.iterations)
-        };
-        let few = (0.4, 0.25, 1050);
-        let expected = [few, few, (0.2, 0.375, 2025), (0.0, 0.5, 3000), (0.0, 0.5, 3000)];
-        assert_eq!([3, 12, 15, 18, 40].map(of), expected);
+        let needs = |c: FirstFrameConfig| (c.dropout, c.scale_rate, c.cool_down, c.iterations);
+        let of = |views: usize| needs(config.for_photographs(views, 1000));
+        let (few, many) = ((0.4, 0.25, 0.0, 1050), (0.0, 0.5, 0.5, 3000));
+        assert_eq!([3, 12, 15, 18, 40].map(of), [few, few, (0.2, 0.375, 0.25, 2025), many, many]);
         let never = FirstFrameConfig { few_views: 0, ..config };
-        let never = [1, 3].map(|views| never.for_photographs(views, 1000));
-        let needs = |config: FirstFrameConfig| (config.dropout, config.scale_rate, config.iterations);
-        assert_eq!(never.map(needs), [(0.0, 0.5, 3000); 2]);
+        assert_eq!([1, 3].map(|views| needs(never.for_photographs(views, 1000))), [many; 2]);
     }
 
     #[test]
@@ -391,7 +407,8 @@ mod tests {
         let limits = |points: usize, config: &FirstFrameConfig| {
             let density = &mut DensityControl::new(density_config(config), 1);
             let pyramid = &Pyramid::new(&[], 1);
-            let rounds = Rounds { config, views: &[], pyramid, extent: 1.0, points, density };
+            let log = &mut StageLog::default();
+            let rounds = Rounds { config, views: &[], pyramid, extent: 1.0, points, density, log };
             [100, 300, 500, 600].map(|done| rounds.limit(done))
         };
         assert_eq!(limits(100, &config), [200, 400, 600, 600]);
@@ -503,7 +520,12 @@ mod tests {
         start.log_scales.fill([0.0; 3]);
         // Brightness of the Gaussian after so many steps on dark photographs, and on what they are exchanged for.
         let brightness = |iterations: usize, equal: Option<u8>| {
-            let config = FirstFrameConfig { iterations, hidden_sky: 0.0, ..FirstFrameConfig::default() };
+            let config = FirstFrameConfig {
+                iterations,
+                hidden_sky: 0.0,
+                cool_down: 0.0,
+                ..FirstFrameConfig::default()
+            };
             let views = [grey(51), grey(51)];
             let start = FirstFrame { gaussians: start.clone(), sky: SkyCube::filled(8, [0.2; 3]) };
             let task = FirstFrameTask { views: &views, start, extent: 1.0, seed: 1 };
@@ -512,7 +534,8 @@ mod tests {
                 asked.push(gaussians.len());
                 equal.map(|value| vec![grey(value); 2])
             };
-            let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut equalise, &mut |p| {
+            let log = &mut StageLog::default();
+            let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut equalise, log, &mut |p| {
                 steps += 1;
                 assert_eq!((p.iteration, p.iterations), (steps, iterations));
             });

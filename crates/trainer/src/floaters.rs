@@ -82,7 +82,7 @@ fn log_depths(layer: &Gaussians, camera: &Camera) -> Vec<f32> {
 mod tests {
     use super::*;
     use crate::{CpuBackend, FirstFrame, FirstFrameConfig, FirstFrameTask, train_first_frame};
-    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube, logit};
+    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask, SkyCube, StageLog, logit};
     use glam::DMat4;
 
     const OPAQUE: f32 = 0.5;
@@ -150,8 +150,13 @@ mod tests {
                 ..Default::default()
             };
             let start = FirstFrame { gaussians: scene(&before), sky: SkyCube::filled(4, [0.2; 3]) };
+            let points = start.gaussians.len();
             let task = FirstFrameTask { views: &[view(40), view(60)], start, extent: 1.0, seed: 1 };
-            let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |_| {});
+            let mut log = StageLog::default();
+            let Ok(trained) =
+                train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut log, &mut |_| {});
+            let told = log.changes.get("removed: in mid-air").copied().unwrap_or_default();
+            assert_eq!(told as usize, points - trained.gaussians.len());
             trained.gaussians.len()
         };
         assert_eq!([count(0.0), count(OPAQUE)], [scene(&before).len(), scene(&before).len() - 1]);

@@ -23,6 +23,7 @@ mod loss;
 mod natural;
 mod prior;
 mod pyramid;
+mod rates;
 mod resolution;
 mod schedule;
 mod sky;
@@ -31,7 +32,7 @@ mod static_lane;
 mod subset;
 mod view;
 
-pub use adam::{Adam, AdamVec, Columns, LearningRates, Update, bias_corrections};
+pub use adam::{Adam, AdamVec, Columns, Update, bias_corrections};
 pub use backend::{
     Around, CutLayers, LayerTask, LayerTraining, Revision, SkyTask, SkyTraining, TaskView, TrainBackend,
     Training, mean_pixels,
@@ -53,8 +54,9 @@ pub use lengths::{TILE_DILATION, pixel_length, robust_extent};
 pub use loss::{LossRegion, LossValue, PhotometricLoss, SSIM_WEIGHT};
 pub use natural::{Curvature, Damping, expected_gain};
 pub use prior::{Drift, KINDS, Kind, Prior};
+pub use rates::{LearningRates, decay};
 pub use resolution::ResolutionConfig;
-pub use schedule::{Epochs, Schedule, decay};
+pub use schedule::{Epochs, Schedule};
 pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients, sky_picture};
 pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::{ColourVariance, StaticColours, StaticLane, StaticTargets};

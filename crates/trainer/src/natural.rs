@@ -3,8 +3,9 @@
 //! The information of earlier frames and that of the photographs at hand is the curvature that the loss is expected to have
 //! (Gauss-Newton), so the quotient is the step to the minimum in the units of the parameter. Adam finds these units anew in every frame.
 
-use crate::adam::{Adam, LearningRates};
+use crate::adam::Adam;
 use crate::constants::{BETA1, LONGEST};
+use crate::rates::LearningRates;
 use ffgs_core::Gaussians;
 use ffgs_rasterizer::Information;
 use glam::{DMat3, DVec3};

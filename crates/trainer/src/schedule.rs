@@ -1,7 +1,7 @@
-//! The schedule of a training: the order in which views are drawn, and how step sizes decay.
+//! The schedule of a training: the order in which views are drawn, and the steps.
 
-use crate::adam::LearningRates;
 use crate::backend::Training;
+use crate::rates::LearningRates;
 use crate::view::Progress;
 use ffgs_rasterizer::{Dropout, RenderOptions};
 use rand::SeedableRng;
@@ -61,12 +61,6 @@ impl Epochs {
             }
         }
     }
-}
-
-/// Log-linear interpolation from `start` to `end`.
-pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
-    let t = iteration as f32 / iterations.max(1) as f32;
-    (start.ln() * (1.0 - t) + end.ln() * t).exp()
 }
 
 /// How often and how far a training steps.

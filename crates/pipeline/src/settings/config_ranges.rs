@@ -41,6 +41,7 @@ const RANGES: &[(&str, Range)] = &[
     ("first_frame.sh_rest_rate", RATE),
     ("first_frame.densify_span", SHARE),
     ("first_frame.coarse_until", SHARE),
+    ("first_frame.cool_down", SHARE),
     ("first_frame.max_gaussians", closed(1.0, (1_u64 << 31) as f64)),
     ("first_frame.gaussians_per_pixel", POSITIVE),
     ("first_frame.floater_opacity", SHARE),

@@ -2,7 +2,7 @@
 
 use crate::scene::{camera, discs, pool};
 use crate::{held, memory};
-use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, TrainingView};
+use ffgs_core::{Gaussians, ImageRgb8, ImageSize, Mask, SkyCube, StageLog, TrainingView};
 use ffgs_rasterizer::TileMask;
 use ffgs_trainer::{
     BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, FirstFrameTask,
@@ -133,9 +133,11 @@ impl Case {
         let sky = SkyCube::filled(SKY_FACE, [0.5; 3]);
         memory::restart_peak();
         let mut clock = Clock::start();
+        let log = &mut StageLog::default();
         let start = FirstFrame { gaussians, sky };
         let task = FirstFrameTask { views, start, extent: 1e-6, seed: 1 };
-        let Ok(trained) = train_first_frame(&CpuBackend, &config, task, &mut |_| None, &mut |_| clock.tick());
+        let Ok(trained) =
+            train_first_frame(&CpuBackend, &config, task, &mut |_| None, log, &mut |_| clock.tick());
         let peak = memory::peak();
         (clock, peak, held::first_frame(&trained.gaussians, self.size, views.len()) as f64)
     }

@@ -5,10 +5,11 @@ mod unexplained;
 
 pub use unexplained::unexplained;
 
-use crate::adam::LearningRates;
 use crate::backend::TrainBackend;
 use crate::lengths::robust_extent;
-use crate::schedule::{Schedule, decay};
+use crate::rates::LearningRates;
+use crate::rates::decay;
+use crate::schedule::Schedule;
 use crate::subset::{Subset, shown, train_subset};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, Mask, Scene, TrainingView};

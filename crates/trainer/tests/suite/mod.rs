@@ -2,7 +2,7 @@
 //! that what is fixed stays, and that equal inputs give equal bytes. The same assertions hold for the CPU and for a GPU.
 
 use ffgs_core::{
-    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PixelFilter, PlanarImage, SkyCube,
+    Camera, Gaussians, ImageRgb8, ImageSize, Intrinsics, Mask, PixelFilter, PlanarImage, SkyCube, StageLog,
     TrainingView,
 };
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
@@ -314,7 +314,7 @@ pub(crate) fn first_frame<B: TrainBackend>(backend: &B, world: &World) -> FirstF
     let sky = SkyCube::filled(8, [0.5; 3]);
     let start = FirstFrame { gaussians: start, sky };
     let task = FirstFrameTask { views: &world.views, start, extent: 4.0, seed: SEED };
-    train_first_frame(backend, &config, task, &mut |_| None, &mut |_| {}).unwrap()
+    train_first_frame(backend, &config, task, &mut |_| None, &mut StageLog::default(), &mut |_| {}).unwrap()
 }
 
 pub(crate) fn the_first_frame_comes_nearer_to_the_photographs<B: TrainBackend>(backend: &B) {
