@@ -4,7 +4,7 @@ use crate::capture_writer::CaptureWriter;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ffgs_core::Mask;
-use ffgs_method::{Capture, Points, Split, ViewAt};
+use ffgs_method::{Points, Split, ViewAt};
 use ffgs_motion_eval::Truth;
 use ffgs_pipeline::cli::args::LogArgs;
 use ffgs_pipeline::plugins::registry::open_capture;
@@ -58,11 +58,11 @@ pub(crate) fn run(args: &LaterArgs) -> Result<()> {
             writer.view(&names[at.view], 0, &image, &mask)
         })?;
     }
-    writer.points(&carried(points, &truth, frame)?)
+    writer.points(&carried(&points, &truth, frame)?)
 }
 
 /// The initial points at a later frame. Those that move but are on no part, or on one that is gone by then, are left out.
-fn carried(points: Points, truth: &Truth, frame: usize) -> Result<Points> {
+fn carried(points: &Points, truth: &Truth, frame: usize) -> Result<Points> {
     let places: Vec<DVec3> = points.positions.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
     let parts = truth.parts_at(0, &places)?;
     let mut out = Points { dropped: points.dropped, ..Points::default() };
@@ -83,6 +83,7 @@ fn carried(points: Points, truth: &Truth, frame: usize) -> Result<Points> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ffgs_method::Capture;
     use std::path::Path;
 
     #[test]
