@@ -58,7 +58,7 @@ impl Default for BackgroundConfig {
     fn default() -> Self {
         Self {
             static_method: StaticMethod::Solve,
-            solve_iterations: 4,
+            solve_iterations: 8,
             solve_degree: 3,
             solve_noise: 0.05,
             solve_sh0_change: 0.3,
