@@ -258,6 +258,8 @@ fn unequal_exposures_are_found_kept_and_given_back() {
     let request = |name: &str, remove: bool, first_frame: Option<&str>| {
         let mut request = request(&out(name), 0);
         request.config.first_frame.iterations = 100;
+        // All of the few steps after the change of photographs are needed.
+        request.config.first_frame.cool_down = 0.0;
         request.config.first_frame.exposures = remove;
         RunRequest {
             capture: capture.clone(),
