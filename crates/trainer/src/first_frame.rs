@@ -171,7 +171,7 @@ pub struct FirstFrameTask<'a> {
 pub type Equalise<'a> = &'a mut dyn FnMut(&Gaussians) -> Option<Vec<TrainingView>>;
 
 /// Trains frame 0. `equalise` is asked once, as soon as there are surfaces to compare the colours of photographs on, and never where there
-/// are too few steps for that; the steps that are left are taken on its photographs. What came and went is counted in `log`.
+/// are too few steps for that; the steps that are left are taken on its photographs. Floaters that are removed are counted in `log`.
 ///
 /// # Errors
 /// When the device fails or has too little memory.
@@ -339,8 +339,6 @@ impl Rounds<'_> {
             if grows {
                 self.density.set_limit(self.limit(done));
                 plan = self.density.plan(gaussians, sums, self.extent);
-                self.log.change("split or cloned", plan.split.len() + plan.clone.len());
-                self.log.change("removed: faded", plan.removed());
             }
             if clears {
                 let before = plan.removed();
