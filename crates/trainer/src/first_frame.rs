@@ -394,6 +394,15 @@ mod tests {
     }
 
     #[test]
+    fn the_last_steps_are_small() {
+        let config = FirstFrameConfig { iterations: 100, cool_down: 0.3, ..FirstFrameConfig::default() };
+        let always = FirstFrameConfig { cool_down: 0.0, ..config };
+        let share = |done: usize| rates(&config, done, 1.0).scales / rates(&always, done, 1.0).scales;
+        assert_eq!((share(0), share(69)), (1.0, 1.0));
+        assert!((share(84) - 0.5).abs() < 0.03 && share(99) < 0.02, "{} and {}", share(84), share(99));
+    }
+
+    #[test]
     fn the_last_round_reaches_the_limit() {
         let config = FirstFrameConfig {
             iterations: 1000,

@@ -22,6 +22,7 @@ impl LearningRates {
     pub const fn with_means(means: f32) -> Self {
         Self { means, quats: 1e-3, scales: 5e-3, opacities: 5e-2, sh0: 2.5e-3, sh_rest: 1.25e-4 }
     }
+
     /// All of them times `factor`.
     #[must_use]
     pub fn scaled(self, factor: f32) -> Self {
@@ -38,7 +39,7 @@ pub fn decay(start: f32, end: f32, iteration: usize, iterations: usize) -> f32 {
     (start.ln() * (1.0 - t) + end.ln() * t).exp()
 }
 
-/// Factor on the rates of the step after `iteration` ones, of `iterations`: 1, and over the last `share` of the steps it falls to 0 as a line.
+/// Factor on the rates of the step after `iteration` ones, of `iterations`: 1, and over the last `share` of the steps it falls linearly to 0.
 pub(crate) fn cool_down(share: f32, iteration: usize, iterations: usize) -> f32 {
     let left = 1.0 - (iteration as f32 + 0.5) / iterations.max(1) as f32;
     if left < share { left / share } else { 1.0 }
