@@ -39,6 +39,17 @@ impl Exposure {
     }
 }
 
+impl Exposure {
+    /// A common colour as the camera shows it, and the derivative of that per channel. Values outside 0..=1, which are clipped, stay where they are.
+    pub(crate) fn of_colour(self, colour: [f32; 3]) -> ([f32; 3], [f32; 3]) {
+        let odds = self.offsets.map(|offset| offset.exp() as f32);
+        let inside = colour.map(|v| v.clamp(0.0, 1.0));
+        let shown = std::array::from_fn(|c| colour[c] - inside[c] + shifted(inside[c], odds[c]));
+        let slopes = std::array::from_fn(|c| odds[c] / (1.0 - inside[c] + inside[c] * odds[c]).powi(2));
+        (shown, slopes)
+    }
+}
+
 /// The value whose odds are `odds` times those of `value`, which is in 0..=1.
 fn shifted(value: f32, odds: f32) -> f32 {
     value * odds / (1.0 - value + value * odds)
@@ -48,6 +59,26 @@ fn shifted(value: f32, odds: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::ImageSize;
+
+    #[test]
+    fn a_colour_changes_as_a_render_does_and_its_slope_is_the_difference_quotient() {
+        let exposure = Exposure { offsets: [0.4, -0.9, 0.0] };
+        for value in [0.0, 0.05, 0.5, 0.97, 1.0] {
+            let mut render = PlanarImage::zeros(ImageSize { width: 1, height: 1 });
+            render.set_pixel(0, [value; 3]);
+            exposure.apply(&mut render);
+            let (shown, slopes) = exposure.of_colour([value; 3]);
+            assert_eq!(shown, render.pixel(0));
+            if value > 0.0 && value < 1.0 {
+                let at = |v: f32| exposure.of_colour([v; 3]).0;
+                let (above, below) = (at(value + 1e-3), at(value - 1e-3));
+                for c in 0..3 {
+                    assert!(((above[c] - below[c]) / 2e-3 - slopes[c]).abs() < 2e-3, "{value}, {c}");
+                }
+            }
+        }
+        assert_eq!(exposure.of_colour([1.5, -0.5, 0.0]).0, [1.5, -0.5, 0.0], "clipped values stay");
+    }
 
     #[test]
     fn black_and_white_stay_and_a_photograph_returns() {

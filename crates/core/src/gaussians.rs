@@ -1,6 +1,8 @@
 //! Gaussians as a structure of arrays: the columns that training changes and splat files hold.
 
+use crate::Exposure;
 use glam::DVec3;
+use rayon::prelude::*;
 use thiserror::Error;
 
 /// The constant spherical harmonic, `1 / (2 sqrt(pi))`: a colour is `SH_C0 * coefficient + 0.5`.
@@ -118,6 +120,17 @@ impl Gaussians {
         &self.sh[i * k..(i + 1) * k]
     }
 
+    /// Shows the colours in another light: their means over all directions change by the light's offsets of the log odds, what depends on the
+    /// direction in proportion.
+    pub fn relight(&mut self, light: Exposure) {
+        let stride = self.sh_stride();
+        self.sh.par_chunks_exact_mut(stride).for_each(|sh| {
+            let (shown, slopes) = light.of_colour(sh[0].map(|v| SH_C0 * v + 0.5));
+            sh[0] = shown.map(|v| (v - 0.5) / SH_C0);
+            sh[1..].iter_mut().for_each(|rest| *rest = std::array::from_fn(|c| rest[c] * slopes[c]));
+        });
+    }
+
     /// Checks the invariant; call after filling the columns from a file.
     ///
     /// # Errors
@@ -196,6 +209,19 @@ fn refill<T: Clone>(column: &mut Vec<T>, n: usize, value: T) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_depends_on_the_direction_changes_in_proportion_to_the_slope() {
+        let mut gaussians = Gaussians::zeros(2, 1);
+        gaussians.sh[1] = [0.1, 0.2, -0.3];
+        let light = Exposure { offsets: [0.5; 3] };
+        let (shown, slopes) = light.of_colour([0.5; 3]);
+        gaussians.relight(light);
+        assert!((SH_C0 * gaussians.sh[0][0] + 0.5 - shown[0]).abs() < 1e-6);
+        let expected: [f32; 3] = std::array::from_fn(|c| [0.1, 0.2, -0.3][c] * slopes[c]);
+        assert_eq!((gaussians.sh[1], gaussians.sh[5]), (expected, [0.0; 3]));
+        assert!(gaussians.is_finite());
+    }
 
     #[test]
     fn select_keeps_columns_together() {

@@ -1,6 +1,6 @@
 //! The scene at one frame: static layer, dynamic layer, sky, and what is known of them from earlier frames.
 
-use crate::{Gaussians, SkyCube};
+use crate::{Exposure, Gaussians, SkyCube};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 
@@ -79,6 +79,14 @@ impl Scene {
             let layer = Arc::make_mut(&mut self.static_layer);
             (0..).zip(indices).for_each(|(from, to)| layer.set_from(to as usize, &gaussians, from));
         }
+    }
+
+    /// Shows everything in another light: an offset of the log odds of all colours.
+    pub fn relight(&mut self, light: Exposure) {
+        let layers =
+            [Arc::make_mut(&mut self.static_layer), &mut self.aside.gaussians, &mut self.dynamic.gaussians];
+        layers.into_iter().for_each(|layer| layer.relight(light));
+        self.sky.texels.iter_mut().for_each(|texel| *texel = light.of_colour(*texel).0);
     }
 
     /// Both layers, the static one first: what is rendered.
@@ -181,9 +189,29 @@ impl Dynamic {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{SH_C0, sigmoid};
 
     fn logits(scene: &Scene) -> &[f32] {
         &scene.static_layer.opacity_logits
+    }
+
+    #[test]
+    fn another_light_reaches_all_that_is_shown_and_what_is_aside() {
+        let colour = |g: &Gaussians, i: usize| g.sh[i].map(|v| SH_C0 * v + 0.5);
+        let dynamic = Dynamic { gaussians: Gaussians::zeros(1, 0), ..Dynamic::default() };
+        let mut scene = Scene::new(Gaussians::zeros(2, 0), dynamic, SkyCube::filled(1, [0.5; 3]));
+        scene.put_aside(vec![1], &scene.static_layer.clone());
+        scene.relight(Exposure { offsets: [0.0, 1.0, -1.0] });
+        let expected = [0.5, sigmoid(1.0), sigmoid(-1.0)];
+        let shown = [
+            colour(&scene.static_layer, 0),
+            colour(&scene.aside.gaussians, 0),
+            colour(&scene.dynamic.gaussians, 0),
+            scene.sky.texels[0],
+        ];
+        for found in shown {
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{shown:?}");
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use crate::ablations::{self, AblationArgs};
 use crate::compare::{self, CompareArgs};
 use crate::enlarge::{self, EnlargeArgs};
+use crate::expose::{self, ExposeArgs};
 use crate::later::{self, LaterArgs};
 use crate::mask_eval::{self, MaskEvalArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
@@ -37,6 +38,8 @@ enum Command {
     Synthetic(SyntheticArgs),
     /// Enlarge the images, masks and tracks of a capture
     Enlarge(EnlargeArgs),
+    /// Give the photographs of a capture exposures that change from frame to frame
+    Expose(ExposeArgs),
     /// Make a capture of one later frame, to tell what a run has lost by then
     Later(LaterArgs),
 }
@@ -75,6 +78,10 @@ fn dispatch(command: Command) -> Result<()> {
         Command::Enlarge(args) => {
             args.log.start();
             enlarge::run(&args)
+        }
+        Command::Expose(args) => {
+            args.log.start();
+            expose::run(&args)
         }
         Command::Later(args) => {
             args.log.start();

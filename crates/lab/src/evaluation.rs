@@ -15,7 +15,6 @@ use ffgs_pipeline::outputs::folder::RunFolder;
 use ffgs_pipeline::outputs::state;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_pipeline::settings::config::Config;
-use ffgs_reconstruction::Exposures;
 use ffgs_trainer::from_points;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::BTreeMap;
@@ -69,7 +68,6 @@ pub struct Evaluation {
     pub frames: Range<usize>,
     places: Places,
     run: Option<RunFolder>,
-    exposures: Exposures,
     /// Frame 0: the moving Gaussians, the rest.
     start: (Gaussians, Arc<Gaussians>),
 }
@@ -99,7 +97,6 @@ impl Evaluation {
         let frames = args.frames.map_or(1..count, |f| f.start.max(1)..f.end.unwrap_or(count));
         ensure!(!frames.is_empty() && frames.end <= count, "the capture has truth for frames 0..{count}");
         let run = args.run.clone().map(RunFolder);
-        let exposures = run.as_ref().map(read_exposures).transpose()?.unwrap_or_default();
         if args.places == Places::Run && run.is_none() {
             bail!("--places run needs --run DIR");
         }
@@ -110,7 +107,7 @@ impl Evaluation {
             }
             None => initial_points(&*capture)?,
         };
-        Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, exposures, start })
+        Ok(Self { config, capture, tracks, views, truth, frames, places: args.places, run, start })
     }
 
     /// The fused estimate of the bodies over all frames.
@@ -141,6 +138,12 @@ impl Evaluation {
         Ok((moving, fixed))
     }
 
+    /// The training views of a frame, in the exposures that the run found.
+    fn photographs(&self, frame: usize) -> Result<Vec<TrainingView>> {
+        let exposures = self.run.as_ref().map(|run| read_exposures(run, frame)).transpose()?;
+        load_training(&*self.capture, &exposures.unwrap_or_default(), &self.views, frame)
+    }
+
     /// Moves the Gaussians into `frame`. `memory` is that of the frame before, then of this one.
     ///
     /// # Errors
@@ -152,8 +155,7 @@ impl Evaluation {
         flow: &mut FlowErrors,
     ) -> Result<(Cells, Seconds)> {
         let (moving, fixed) = self.layers(frame)?;
-        let before = load_training(&*self.capture, &self.exposures, &self.views, frame - 1)?;
-        let now = load_training(&*self.capture, &self.exposures, &self.views, frame)?;
+        let [before, now] = [self.photographs(frame - 1)?, self.photographs(frame)?];
         let previous = moving.positions();
         let reduction = self.config.resolution.dynamic(&moving, &now);
         let reduced = [&before, &now].map(|views| TrainingView::all_reduced(views, reduction));

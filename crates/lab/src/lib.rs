@@ -8,6 +8,7 @@ pub mod cli;
 mod compare;
 mod enlarge;
 pub mod evaluation;
+mod expose;
 mod later;
 mod mask_eval;
 pub mod motion_eval;

@@ -223,8 +223,8 @@ fn a_second_frame_has_covariances_of_its_own_and_grows_to_its_limit() {
     assert!(2 * changed > kept.ids.len(), "{changed} of {} were fused", kept.ids.len());
 }
 
-/// The sample with photographs of three training cameras as if these had exposures of their own.
-fn unequally_exposed(folder: &Path, exposures: &[(&str, f64)]) -> PathBuf {
+/// The sample with photographs of some cameras as if these had other exposures: lists of cameras and offsets (log odds), each in a frame.
+fn exposed(folder: &Path, frames: &[(usize, &[(&str, f64)])]) -> PathBuf {
     let copy = folder.join("capture");
     let files = walkdir(&sample());
     for file in files {
@@ -233,13 +233,20 @@ fn unequally_exposed(folder: &Path, exposures: &[(&str, f64)]) -> PathBuf {
         fs::copy(&file, to).unwrap();
     }
     let capture = open_capture(&sample()).unwrap();
-    for (name, offset) in exposures {
-        let view = capture.views(Split::Train).iter().position(|view| view == name).unwrap();
-        let at = ViewAt { split: Split::Train, view, frame: 0 };
-        let exposure = Exposure { offsets: [-offset; 3] };
-        let image = exposure.removed(&capture.image(at).unwrap());
-        let file = capture.image_file(at).unwrap();
-        write_png(&copy.join(file.strip_prefix(sample()).unwrap()), &image).unwrap();
+    let find = |name: &str| {
+        let of_split =
+            |split| capture.views(split).iter().position(|view| view == name).map(|view| (split, view));
+        [Split::Train, Split::Test].into_iter().find_map(of_split).unwrap()
+    };
+    for &(frame, exposures) in frames {
+        for (name, offset) in exposures {
+            let (split, view) = find(name);
+            let at = ViewAt { split, view, frame };
+            let exposure = Exposure { offsets: [-offset; 3] };
+            let image = exposure.removed(&capture.image(at).unwrap());
+            let file = capture.image_file(at).unwrap();
+            write_png(&copy.join(file.strip_prefix(sample()).unwrap()), &image).unwrap();
+        }
     }
     copy
 }
@@ -253,7 +260,7 @@ fn walkdir(folder: &Path) -> Vec<PathBuf> {
 fn unequal_exposures_are_found_kept_and_given_back() {
     let folder = TempDir::new().unwrap();
     let exposures = [("trk000", 0.8), ("trk004", -0.5), ("trk008", -0.3)];
-    let capture = unequally_exposed(folder.path(), &exposures);
+    let capture = exposed(folder.path(), &[(0, &exposures)]);
     let out = |name: &str| folder.path().join(name);
     let request = |name: &str, remove: bool, first_frame: Option<&str>| {
         let mut request = request(&out(name), 0);
@@ -283,4 +290,47 @@ fn unequal_exposures_are_found_kept_and_given_back() {
     // The test cameras have the common exposure.
     let psnr = |name: &str| metrics(&out(name)).frames[0].views.iter().map(|view| view.psnr).sum::<f64>();
     assert!(psnr("removed") > psnr("kept"), "{} {}", psnr("removed"), psnr("kept"));
+}
+
+/// The light of the second frame is another one, and one camera changes its exposure in the third: both are found, a resumed run finds the same, and the
+/// test views, which see the light alone, are shown in it.
+#[test]
+fn light_and_exposures_that_change_are_followed_and_resumed() {
+    let folder = TempDir::new().unwrap();
+    let sample = open_capture(&sample()).unwrap();
+    let test = sample.views(Split::Test).iter().map(String::as_str);
+    let trained = ["trk000", "trk004", "trk008"];
+    let light: Vec<(&str, f64)> = trained.into_iter().chain(test).map(|name| (name, -0.4)).collect();
+    let mut one_more = light.clone();
+    one_more[1].1 = 0.0;
+    let capture = exposed(folder.path(), &[(1, &light), (2, &one_more)]);
+    let request = |name: &str, follow: bool, frames: usize| {
+        let mut request = request(&folder.path().join(name), 0);
+        request.config.first_frame.iterations = 100;
+        request.config.first_frame.exposures = false;
+        let background = &mut request.config.background;
+        background.exposure_change = if follow { background.exposure_change } else { 0.0 };
+        RunRequest { capture: capture.clone(), frames: Some(first(frames)), ..request }
+    };
+    run(&request("followed", true, 3)).unwrap();
+    run(&request("left", false, 3)).unwrap();
+    let out = RunFolder(folder.path().join("followed"));
+    assert!(!out.frame(1).join("exposures.json").exists(), "all cameras see it: it is the light");
+    let found: serde_json::Value = read_json(&out.frame(2).join("exposures.json")).unwrap();
+    let change = |name: &str| found["change"][name][0].as_f64().unwrap();
+    assert!((change("trk004") - 0.4).abs() < 0.1, "{found}");
+    assert_eq!((change("trk000"), change("trk008")), (0.0, 0.0), "{found}");
+    let psnr = |name: &str, frame: usize| {
+        let views = &metrics(&folder.path().join(name)).frames[frame].views;
+        views.iter().map(|view| view.psnr).sum::<f64>() / views.len() as f64
+    };
+    for frame in [1, 2] {
+        let (followed, left) = (psnr("followed", frame), psnr("left", frame));
+        assert!(followed > left + 0.5, "frame {frame}: {followed} {left}");
+    }
+    let short = request("resumed", true, 2);
+    run(&short).unwrap();
+    run(&RunRequest { resume: true, ..request("resumed", true, 3) }).unwrap();
+    let state = |name: &str| fs::read(RunFolder(folder.path().join(name)).state(2)).unwrap();
+    assert!(state("followed") == state("resumed"));
 }

@@ -289,7 +289,7 @@ class Player {
         const box = this.fit(view.width, view.height);
         Object.assign($('photo').style, { left: `${box.x}px`, top: `${box.y}px`, width: `${view.width * box.scale}px`, height: `${view.height * box.scale}px` });
         if (!$('photograph').src.endsWith(name)) $('photograph').src = name;
-        expose(view.exposure);
+        expose(view.exposures?.[Math.min(entry?.frame ?? 0, view.exposures.length - 1)]);
     }
 }
 

@@ -50,7 +50,7 @@ pub(crate) struct Frame {
     /// (N, 3, 3), flat; empty for a stream.
     pub(crate) covariances: Vec<f64>,
     pub(crate) sky: Arc<Sky>,
-    /// Of the run's cameras; neutral for a stream.
+    /// Of the run's cameras in this frame; neutral for a stream.
     pub(crate) exposures: Exposures,
 }
 
@@ -90,7 +90,9 @@ impl Frame {
         };
         let mut config = Config::default().dynamic;
         config.iterations = task.iterations.unwrap_or(config.iterations);
-        let views = load_training(&*capture.0, &self.exposures, &select_views(&*capture.0, None)?, frame)?;
+        // What another frame changed is not known here.
+        let exposures = if frame == self.index { self.exposures.clone() } else { self.exposures.usual() };
+        let views = load_training(&*capture.0, &exposures, &select_views(&*capture.0, None)?, frame)?;
         let around = Surroundings { static_layer: &self.still, sky, prior: None };
         let mut layer = self.moving.clone();
         if let Some(means) = &task.means {
@@ -190,7 +192,7 @@ impl Frame {
             ids: self.ids.clone(),
             covariances: self.covariances.clone(),
             sky: Arc::clone(&self.sky),
-            exposures: self.exposures.clone(),
+            exposures: if frame == self.index { self.exposures.clone() } else { self.exposures.usual() },
         })
     }
 }

@@ -36,7 +36,8 @@ impl Run {
         if !self.0.frames.contains(&frame) {
             return Err(PyKeyError::new_err(format!("frame {frame} is not finished")));
         }
-        let scene = py.detach(|| self.0.scene(frame)).map_err(failed)?;
-        Ok(Frame::of(frame, scene, self.0.exposures.clone()))
+        let read = || anyhow::Ok((self.0.scene(frame)?, self.0.exposures(frame)?));
+        let (scene, exposures) = py.detach(read).map_err(failed)?;
+        Ok(Frame::of(frame, scene, exposures))
     }
 }

@@ -1,4 +1,5 @@
-//! The exposures of the cameras: estimated once, removed from photographs, given back to renders (docs/adr/0055-exposures.md).
+//! The exposures of the cameras: removed from photographs, given back to renders (docs/adr/0055-exposures.md). What single frames change is found in
+//! `light.rs`.
 
 use anyhow::Result;
 use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
@@ -14,6 +15,8 @@ const DIFFERENT: f64 = 0.16;
 const STANDS_OUT: f64 = 0.3;
 /// and in units of the cameras' median distance from it.
 const UNUSUAL: f64 = 4.0;
+/// Standard errors that a likeness of neighbours must have: 34 in a filmed walk, up to 2.2 where each camera has an exposure of its own.
+const NO_CHANCE: f64 = 3.0;
 /// Least squared distance of two cameras, as a share of the rig's.
 const NEAREST: f64 = 1e-6;
 
@@ -25,6 +28,9 @@ pub struct Exposures {
     train: BTreeMap<String, [f64; 3]>,
     /// Views of the first frame alone.
     init: BTreeMap<String, [f64; 3]>,
+    /// By how much training views differ from these in one frame, where any does.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    change: BTreeMap<String, [f64; 3]>,
 }
 
 impl Exposures {
@@ -68,14 +74,43 @@ impl Exposures {
             let offsets = |offsets: &[f64; 3]| if stands_out(offsets) { away(offsets).0 } else { [0.0; 3] };
             all.iter().map(|(name, of_camera)| (name.clone(), offsets(of_camera))).collect()
         };
-        Self { train: kept(&self.train), init: kept(&self.init) }
+        Self { train: kept(&self.train), init: kept(&self.init), change: BTreeMap::new() }
     }
 
     fn split_mut(&mut self, split: Split) -> &mut BTreeMap<String, [f64; 3]> {
         if split == Split::Init { &mut self.init } else { &mut self.train }
     }
 
-    /// Root mean square of the training views' offsets (log odds).
+    /// Without what one frame changes.
+    #[must_use]
+    pub fn usual(&self) -> Self {
+        Self { change: BTreeMap::new(), ..self.clone() }
+    }
+
+    /// With a frame's changes (log odds) of training views, by their names: of every view, as those that do not change speak for the views between
+    /// them, too.
+    pub(crate) fn changed(&self, changes: impl Iterator<Item = (String, [f64; 3])>) -> Self {
+        let mut change: BTreeMap<_, _> = changes.collect();
+        if change.values().all(|offsets| *offsets == [0.0; 3]) {
+            change.clear();
+        }
+        Self { change, ..self.clone() }
+    }
+
+    /// How many training views this frame changes.
+    pub fn changes(&self) -> usize {
+        self.change.values().filter(|offsets| **offsets != [0.0; 3]).count()
+    }
+
+    /// Of a training view that was trained on.
+    fn of_training(&self, name: &str) -> Option<[f64; 3]> {
+        let (usual, change) = (self.train.get(name), self.change.get(name));
+        let [usual, more] = [usual, change].map(|offsets| offsets.copied().unwrap_or_default());
+        (self.train.contains_key(name) || change.is_some())
+            .then(|| std::array::from_fn(|c| usual[c] + more[c]))
+    }
+
+    /// Root mean square of the training views' offsets (log odds), without what one frame changes.
     pub fn deviation(&self) -> f64 {
         let offsets: Vec<f64> = self.train.values().flatten().copied().collect();
         (offsets.iter().map(|o| o * o).sum::<f64>() / offsets.len().max(1) as f64).sqrt()
@@ -83,12 +118,12 @@ impl Exposures {
 
     /// Whether all cameras agree.
     pub fn are_neutral(&self) -> bool {
-        self.train.is_empty()
+        self.train.is_empty() && self.change.is_empty()
     }
 
     /// Whether every offset is a number between -20 and 20.
     pub fn are_sound(&self) -> bool {
-        let all = self.train.values().chain(self.init.values()).flatten();
+        let all = self.train.values().chain(self.init.values()).chain(self.change.values()).flatten();
         all.copied().all(|offset| offset.is_finite() && offset.abs() < 20.0)
     }
 
@@ -103,11 +138,11 @@ impl Exposures {
         }
         let name = &capture.views(at.split)[at.view];
         let known = match at.split {
-            Split::Train => self.train.get(name),
-            Split::Init => self.init.get(name),
+            Split::Train => self.of_training(name),
+            Split::Init => self.init.get(name).copied(),
             Split::Test => None,
         };
-        if let Some(&offsets) = known {
+        if let Some(offsets) = known {
             return Ok(Exposure { offsets });
         }
         let known = self.known_cameras(capture, at.frame)?;
@@ -118,7 +153,7 @@ impl Exposures {
     /// Training cameras at a frame, and their offsets.
     fn known_cameras(&self, capture: &dyn Capture, frame: usize) -> Result<Vec<(Camera, [f64; 3])>> {
         let names = capture.views(Split::Train).iter().enumerate();
-        let known = names.filter_map(|(view, name)| Some((view, *self.train.get(name)?)));
+        let known = names.filter_map(|(view, name)| Some((view, self.of_training(name)?)));
         known
             .map(|(view, offsets)| {
                 Ok((capture.camera(ViewAt { split: Split::Train, view, frame })?, offsets))
@@ -165,18 +200,22 @@ fn from_neighbours(known: &[(Camera, [f64; 3])], camera: &Camera) -> [f64; 3] {
     })
 }
 
-/// How far cameras resemble their neighbours, 0 to 1: the slope of their offsets over those that the others predict.
+/// How far cameras resemble their neighbours, 0 to 1: the slope of their offsets over those that the others predict, where it is not chance.
 fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
-    let (mut product, mut square) = (0.0, f64::MIN_POSITIVE);
-    for left_out in 0..known.len() {
-        let mut others = known.to_vec();
-        let (camera, offsets) = others.remove(left_out);
-        for (predicted, offset) in from_neighbours(&others, &camera).iter().zip(offsets) {
-            product += predicted * offset;
-            square += predicted * predicted;
-        }
-    }
-    (product / square).clamp(0.0, 1.0)
+    let pairs: Vec<([f64; 3], [f64; 3])> = (0..known.len())
+        .map(|left_out| {
+            let mut others = known.to_vec();
+            let (camera, offsets) = others.remove(left_out);
+            (from_neighbours(&others, &camera), offsets)
+        })
+        .collect();
+    let product = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let square = pairs.iter().map(|(p, _)| product(p, p)).sum::<f64>().max(f64::MIN_POSITIVE);
+    let slope = pairs.iter().map(|(p, offsets)| product(p, offsets)).sum::<f64>() / square;
+    // The channels of a camera change together: it counts once.
+    let of_camera = |(p, offsets): &([f64; 3], [f64; 3])| product(p, offsets) - slope * product(p, p);
+    let error = pairs.iter().map(|pair| of_camera(pair).powi(2)).sum::<f64>().sqrt() / square;
+    if slope > NO_CHANCE * error { slope.clamp(0.0, 1.0) } else { 0.0 }
 }
 
 /// 0 for none.
@@ -205,7 +244,7 @@ mod tests {
         let offsets = |view| [if view == bright { 1.0 } else { 0.0 }; 3];
         Exposures {
             train: names.map(|(view, name)| (name.clone(), offsets(view))).collect(),
-            init: BTreeMap::new(),
+            ..Exposures::default()
         }
     }
 
@@ -245,6 +284,24 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_changes_some_cameras_and_those_between_them() {
+        let capture = sample();
+        let names = capture.views(Split::Train);
+        let of = |exposures: &Exposures, view| {
+            exposures.of(&*capture, ViewAt { split: Split::Train, view, frame: 0 }).unwrap().offsets[0]
+        };
+        let changes = |view: usize| if view == 2 { [0.3; 3] } else { [0.0; 3] };
+        let changes = names.iter().enumerate().map(|(view, name)| (name.clone(), changes(view)));
+        let usual = one_bright(&*capture, 2);
+        for (before, sum) in [(Exposures::default(), 0.3), (usual.clone(), 1.3)] {
+            let changed = before.changed(changes.clone());
+            assert!(!changed.are_neutral() && changed.are_sound());
+            assert_eq!((of(&changed, 2), of(&changed, 0), changed.changes()), (sum, 0.0, 1));
+            assert_eq!(changed.usual(), before);
+        }
+    }
+
+    #[test]
     fn the_camera_that_differs_most_is_named_and_offsets_have_bounds() {
         let capture = sample();
         let mut exposures = one_bright(&*capture, 2);
@@ -262,7 +319,7 @@ mod tests {
     fn one_wrong_camera_among_many_is_seen_and_the_others_stay_as_they_are() {
         let named = |offsets: &dyn Fn(usize) -> f64| Exposures {
             train: (0..40).map(|view| (format!("{view:02}"), [offsets(view); 3])).collect(),
-            init: BTreeMap::new(),
+            ..Exposures::default()
         };
         let usual = |view: usize| 0.08 * (view as f64).sin();
         let wrong = named(&|view| if view == 7 { 0.6 } else { usual(view) });

@@ -3,10 +3,11 @@
 //! ```text
 //! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
 //! frame t   state of t-1, photographs of t
-//!           -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered or stands before it
+//!           -> follow the light -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered or stands before it
 //!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
 //! ```
 
+use crate::exposures::Exposures;
 use crate::first_training::{Earlier, FirstViews};
 use crate::knowledge::{Predicted, learn};
 use crate::lanes::FrameStart;
@@ -49,8 +50,8 @@ impl Reconstructor<'_> {
         Ok(state)
     }
 
-    /// Frame t from t-1. `now` are the photographs of t, in one exposure. `predicted` is called with the scene before it is trained: what it
-    /// measures is the motion initialisation.
+    /// Frame t from t-1. `now` are the photographs of t as they were taken. `predicted` is called with the scene before it is trained, and the exposures
+    /// of the frame: what it measures is the motion initialisation.
     ///
     /// # Errors
     /// When masks do not fit their cameras, or the method, the device or `predicted` fails.
@@ -58,10 +59,11 @@ impl Reconstructor<'_> {
         &mut self,
         frame: usize,
         mut state: State,
-        now: Vec<TrainingView>,
+        mut now: Vec<TrainingView>,
         log: &mut StageLog,
-        predicted: &mut dyn FnMut(&Step, &Scene) -> Result<()>,
+        predicted: &mut dyn FnMut(&Step, &Scene, &Exposures) -> Result<()>,
     ) -> Result<State> {
+        self.follow_light(frame, &mut state, &mut now, log)?;
         if self.config.marking.every_frame && self.method.births() {
             self.mark_again(&mut state, log)?;
         }
@@ -77,7 +79,7 @@ impl Reconstructor<'_> {
         if let Some(moving) = moving {
             self.keep_stopped(&moving, &mut state, &now, log)?;
         }
-        predicted(&step, &state.scene)?;
+        predicted(&step, &state.scene, &state.exposures)?;
         if self.method.births() {
             self.add_newborn(frame, &mut state.scene, &coarse.views, log)?;
         }

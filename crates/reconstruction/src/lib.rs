@@ -17,6 +17,7 @@ mod initial_points;
 mod knowledge;
 mod lanes;
 mod left_out;
+mod light;
 mod marking;
 mod monitor;
 mod reconstructor;

@@ -56,7 +56,7 @@ fn each_frame_starts_from_the_state_of_the_one_before() {
     let mut state = first(&mut reconstructor, &world);
     for frame in 1..=2 {
         let (mut log, mut asked) = (StageLog::default(), Vec::new());
-        let mut predicted = |step: &ffgs_method::Step, scene: &ffgs_core::Scene| {
+        let mut predicted = |step: &ffgs_method::Step, scene: &ffgs_core::Scene, _: &Exposures| {
             asked.push((step.frame, scene.dynamic.gaussians.len()));
             Ok(())
         };
@@ -111,7 +111,8 @@ fn an_error_of_the_caller_ends_the_frame() {
     let tracks = [world.tracker()];
     let mut reconstructor = reconstructor(&world, &tracks);
     let state = first(&mut reconstructor, &world);
-    let mut fails = |_: &ffgs_method::Step, _: &ffgs_core::Scene| anyhow::bail!("the disk is full");
+    let mut fails =
+        |_: &ffgs_method::Step, _: &ffgs_core::Scene, _: &Exposures| anyhow::bail!("the disk is full");
     let ended = reconstructor.later_frame(1, state, world.training(1), &mut StageLog::default(), &mut fails);
     assert_eq!(ended.err().unwrap().to_string(), "the disk is full");
 }
@@ -136,7 +137,7 @@ fn what_stands_before_a_thing_that_is_seen_is_left_out_and_goes_in_a_round() {
     state.scene.hidden = vec![0; 2];
     for (frame, gone) in [(1, false), (2, true)] {
         let (now, mut log) = (world.training(frame), StageLog::default());
-        state = reconstructor.later_frame(frame, state, now, &mut log, &mut |_, _| Ok(())).unwrap();
+        state = reconstructor.later_frame(frame, state, now, &mut log, &mut |_, _, _| Ok(())).unwrap();
         let opacities = |state: &State| [0, 1].map(|i| sigmoid(state.scene.static_layer.opacity_logits[i]));
         assert!(opacities(&state)[0] < 1e-3, "frame {frame}: it is not drawn");
         assert_eq!(opacities(&state)[1], 0.5, "frame {frame}: the other one is");

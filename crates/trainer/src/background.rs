@@ -50,6 +50,8 @@ pub struct BackgroundConfig {
     pub sky_iterations: usize,
     /// Rate of the sky's texels.
     pub sky_rate: f32,
+    /// Least change of a camera's exposure, or of the light that all cameras see, that is followed (log odds of the values); 0 = none is.
+    pub exposure_change: f32,
     /// Pixels by which the mask is widened before it is left out ([`Mask::widened`]).
     pub mask_dilation: usize,
 }
@@ -72,6 +74,7 @@ impl Default for BackgroundConfig {
             sh_rest_rate: 5e-5,
             sky_iterations: 50,
             sky_rate: 1e-3,
+            exposure_change: 0.05,
             mask_dilation: 1,
         }
     }

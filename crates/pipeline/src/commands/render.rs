@@ -29,7 +29,7 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
     let views = match (&args.camera, args.orbit) {
         (Some(name), false) => {
             let at = named_view(&*run.capture, name, frame)?;
-            let exposure = run.exposures.of(&*run.capture, at)?;
+            let exposure = run.exposures(frame)?.of(&*run.capture, at)?;
             vec![(format!("{name}_{frame:06}.png"), run.capture.camera(at)?, exposure)]
         }
         (None, true) => {

@@ -13,7 +13,9 @@ use crate::job::provenance::{Checksum, checksums, frame_digest, track_checksums}
 use crate::job::read_ahead::{Inputs, ReadAhead};
 use crate::job::request::RunRequest;
 use crate::outputs::camera_pictures::write_camera_pictures;
-use crate::outputs::exposure_files::{exposures_fact, load_training, read_exposures, write_exposures};
+use crate::outputs::exposure_files::{
+    exposures_fact, load_training, read_exposures, write_changed, write_usual,
+};
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
@@ -220,7 +222,7 @@ impl<'a> Job<'a> {
             let saved = self.folder.read_method_state(frame)?;
             let restored = reconstructor.method.restore(&saved, &scene);
             restored.with_context(|| reconstructor.named("state"))?;
-            let exposures = read_exposures(&self.folder)?;
+            let exposures = read_exposures(&self.folder, frame)?;
             let views = load_training(&*self.capture, &exposures, &self.views, frame)?;
             Ok(State::new(scene, views, exposures))
         };
@@ -290,8 +292,11 @@ impl<'a> Job<'a> {
         let earlier = self.request.first_frame.as_ref();
         let earlier = earlier.map(|run| self.earlier(&RunFolder(run.clone()), frame)).transpose()?;
         let state = reconstructor.first_frame(frame, photographs, earlier, &mut record.log)?;
-        exposures_fact(&state.exposures).into_iter().for_each(|differ| tracing::info!("exposures {differ}"));
-        write_exposures(&state.exposures, &self.folder)?;
+        exposures_fact(&state.exposures, 0)
+            .into_iter()
+            .for_each(|differ| tracing::info!("exposures {differ}"));
+        write_usual(&state.exposures, &self.folder)?;
+        write_changed(&state.exposures, &self.folder, frame)?;
         record.log.since(stage::WALL, start);
         let (tests, of_tests) = load_tests(&*self.capture, &state.exposures, frame)?;
         let (own, others) = sums.split_at(self.views.len());
@@ -315,7 +320,7 @@ impl<'a> Job<'a> {
         }
         Ok(Earlier {
             scene,
-            exposures: read_exposures(run)?,
+            exposures: read_exposures(run, frame)?,
             split_again,
             finetune: self.request.refine_first,
         })
@@ -330,19 +335,18 @@ impl<'a> Job<'a> {
         reconstructor: &mut Reconstructor,
     ) -> Result<(State, FrameRecord)> {
         let start = Instant::now();
-        let Inputs { views: mut now, sums, track_sums } = inputs.take(frame)?;
+        let Inputs { views: now, sums, track_sums } = inputs.take(frame)?;
         inputs.begin(frame + 1);
-        last.exposures.remove(&*self.capture, &training_views(&self.views, frame), &mut now)?;
         let mut record = FrameRecord { frame, ..FrameRecord::default() };
         record.log.since(stage::LOAD, start);
-        let exposures = last.exposures.clone();
         let mut measured = None;
-        let mut measure = |step: &Step, scene: &Scene| -> Result<()> {
-            measured = Some(self.measure_prediction(step, scene, &exposures)?);
+        let mut measure = |step: &Step, scene: &Scene, exposures: &Exposures| -> Result<()> {
+            measured = Some(self.measure_prediction(step, scene, exposures)?);
             Ok(())
         };
         let state = reconstructor.later_frame(frame, last, now, &mut record.log, &mut measure)?;
         let measured = measured.context("the prediction was not measured")?;
+        write_changed(&state.exposures, &self.folder, frame)?;
         record.log.add_seconds(stage::WALL, start.elapsed().as_secs_f64() - measured.seconds);
         record.inputs = Some(frame_digest(&[&sums, &measured.sums, &track_sums]));
         let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;

@@ -21,8 +21,6 @@ pub struct FinishedRun {
     pub manifest: Manifest,
     /// What it was run on.
     pub capture: Box<dyn Capture>,
-    /// The exposures of its cameras.
-    pub exposures: Exposures,
     /// Finished frames whose Gaussians are there, ascending.
     pub frames: Vec<usize>,
     /// Finished frames whose Gaussians were not kept (`ffgs run --keep`), ascending: only their numbers are there.
@@ -53,8 +51,7 @@ impl FinishedRun {
             );
         }
         let capture = open_capture(at)?;
-        let exposures = read_exposures(&folder)?;
-        Ok(Self { folder, manifest, capture, exposures, frames, thinned })
+        Ok(Self { folder, manifest, capture, frames, thinned })
     }
 
     /// The numbers of every finished frame.
@@ -71,6 +68,14 @@ impl FinishedRun {
     /// When they cannot be read.
     pub fn record(&self, frame: usize) -> Result<FrameRecord> {
         FrameRecord::read(&self.folder, frame, &*self.capture)
+    }
+
+    /// The exposures of its cameras in a frame.
+    ///
+    /// # Errors
+    /// When their file is damaged.
+    pub fn exposures(&self, frame: usize) -> Result<Exposures> {
+        read_exposures(&self.folder, frame)
     }
 
     /// Reads the scene of a frame.

@@ -99,6 +99,11 @@ impl RunFolder {
         self.0.join("exposures.json")
     }
 
+    /// Those of a frame, where it changes any.
+    pub(crate) fn exposures_of(&self, frame: usize) -> PathBuf {
+        self.frame(frame).join("exposures.json")
+    }
+
     /// The circle around what moves, a [`ffgs_report::Turntable`]; a run writes it at its end.
     pub fn turntable(&self) -> PathBuf {
         self.0.join("turntable.json")

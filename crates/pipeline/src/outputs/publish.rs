@@ -1,7 +1,7 @@
 //! `metrics.json` and `report.html`.
 
 use crate::job::manifest::Manifest;
-use crate::outputs::exposure_files::{exposures_fact, read_exposures};
+use crate::outputs::exposure_files::{exposures_fact, read_usual};
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::record::{FrameRecord, Metrics, ViewMetrics};
@@ -29,9 +29,9 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
         facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
     }
-    facts.extend(
-        exposures_fact(&read_exposures(folder)?).map(|value| Fact { name: "exposures".into(), value }),
-    );
+    let changing = metrics.frames.iter().filter(|f| folder.exposures_of(f.frame).exists()).count();
+    let exposures = exposures_fact(&read_usual(folder)?, changing);
+    facts.extend(exposures.map(|value| Fact { name: "exposures".into(), value }));
     let scored = folder.motion_accuracy();
     let input = ReportInput {
         motion: if scored.exists() { read_json(&scored)? } else { Vec::new() },

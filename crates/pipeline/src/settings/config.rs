@@ -124,7 +124,11 @@ impl Config {
                 prior_weight: 0.0,
                 ..defaults.dynamic
             },
-            background: BackgroundConfig { static_method: StaticMethod::Steps, ..defaults.background },
+            background: BackgroundConfig {
+                static_method: StaticMethod::Steps,
+                exposure_change: 0.0,
+                ..defaults.background
+            },
             ..defaults
         }
         .with_motion(&MotionConfig::literal())

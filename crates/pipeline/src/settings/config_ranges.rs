@@ -109,6 +109,7 @@ const RANGES: &[(&str, Range)] = &[
     ("background.sh0_rate", RATE),
     ("background.sh_rest_rate", RATE),
     ("background.sky_rate", RATE),
+    ("background.exposure_change", closed(0.0, 5.0)),
     ("background.mask_dilation", DILATION),
     ("disocclusion.every", COUNT),
     ("disocclusion.rounds", closed(0.0, 255.0)),

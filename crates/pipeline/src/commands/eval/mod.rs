@@ -58,7 +58,7 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let mut records = Vec::new();
     for &frame in &run.frames {
         let mut record = run.record(frame)?;
-        let (tests, _) = load_tests(capture, &run.exposures, frame)?;
+        let (tests, _) = load_tests(capture, &run.exposures(frame)?, frame)?;
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };

@@ -90,7 +90,12 @@ impl Export<'_> {
                     let path = self.splat_path(frame);
                     let read = self.as_read(&path, joint)?;
                     let shown = Shown { gaussians: &read, sky: None };
-                    measured.push(measure((&*self.run.capture, &self.run.exposures), &scene, &shown, frame)?);
+                    measured.push(measure(
+                        (&*self.run.capture, &self.run.exposures(frame)?),
+                        &scene,
+                        &shown,
+                        frame,
+                    )?);
                 }
             }
             bar.inc(1);

@@ -64,7 +64,7 @@ pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> R
     StreamExport::open(&run, out, &options)?.catch_up(&run, args.log.quiet)?;
     if with_page {
         write_page(out)?;
-        write_json(&out.join("cameras.json"), &Views::of(&*run.capture, &run.exposures, false)?)?;
+        write_json(&out.join("cameras.json"), &Views::of(&*run.capture, Some(&run.folder), false)?)?;
     }
     let mut reader = Reader::open(out)?;
     terminal::print(bytes_table(reader.entries()).trim_end());
@@ -231,7 +231,7 @@ fn measure_all(
         joint.extend(&decoded.dynamic_layer);
         let sky = Panorama::decode(&decoded.sky, axes.up, axes.forward)?;
         let shown = Shown { gaussians: &joint, sky: Some(&sky) };
-        out.push(measure((&*run.capture, &run.exposures), &run.scene(frame)?, &shown, frame)?);
+        out.push(measure((&*run.capture, &run.exposures(frame)?), &run.scene(frame)?, &shown, frame)?);
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -4,7 +4,7 @@ use super::ids::{Counts, Ids};
 use super::plan::Plan;
 use crate::job::lock::FolderLock;
 use crate::job::manifest::Manifest;
-use crate::outputs::exposure_files::{read_exposures, write_exposures};
+use crate::outputs::exposure_files::{read_usual, write_usual};
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
@@ -86,7 +86,7 @@ pub(super) fn join(plan: &Plan) -> Result<String> {
     manifest.frames = plan.frames.clone();
     (manifest.first_frame, manifest.segment_length) = (None, Some(plan.length));
     write_json(&joined.manifest(), &manifest)?;
-    write_exposures(&read_exposures(&plan.part(0))?, &joined)?;
+    write_usual(&read_usual(&plan.part(0))?, &joined)?;
     let (drawn, target) = (plan.part(0).cameras(), joined.cameras());
     if drawn.is_file() {
         std::fs::copy(&drawn, &target).with_context(|| format!("cannot write {}", target.display()))?;

@@ -1,5 +1,7 @@
 //! `cameras.json`: the cameras of a capture, for the page that plays a stream.
 
+use crate::outputs::exposure_files::read_exposures;
+use crate::outputs::folder::RunFolder;
 use anyhow::Result;
 use ffgs_core::Exposure;
 use ffgs_method::{Capture, Split, ViewAt};
@@ -26,25 +28,40 @@ struct ViewOf {
     world_from_camera: Vec<[f64; 12]>,
     /// Per frame, where the page has them.
     photographs: Option<Vec<String>>,
-    /// Offsets of the log odds of red, green, blue in the photographs, where cameras differ.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    exposure: Option<[f64; 3]>,
+    /// Per frame the offsets of the log odds of red, green, blue in the photographs; one where they do not change, none where they are zero.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    exposures: Vec<[f64; 3]>,
 }
 
 impl Views {
-    /// The training and test cameras, those that cannot be read left out.
-    pub(crate) fn of(capture: &dyn Capture, exposures: &Exposures, with_photographs: bool) -> Result<Self> {
+    /// The training and test cameras, those that cannot be read left out; with the exposures that `run` has found so far.
+    pub(crate) fn of(capture: &dyn Capture, run: Option<&RunFolder>, with_photographs: bool) -> Result<Self> {
+        let of_frame = |frame| run.map_or_else(|| Ok(Exposures::default()), |run| read_exposures(run, frame));
+        let exposures = (0..capture.frames()).map(of_frame).collect::<Result<Vec<_>>>()?;
         let mut views = Vec::new();
         for split in [Split::Test, Split::Train] {
             for (index, name) in capture.views(split).iter().enumerate() {
                 let view = view_of(capture, split, index, name, with_photographs)?;
-                let exposure = exposures.of(capture, ViewAt { split, view: index, frame: 0 })?;
-                let exposure = (exposure != Exposure::NEUTRAL).then_some(exposure.offsets);
-                views.extend(view.map(|view| ViewOf { exposure, ..view }));
+                let of_frame = |(frame, of_frame): (usize, &Exposures)| {
+                    of_frame
+                        .of(capture, ViewAt { split, view: index, frame })
+                        .map(|exposure| exposure.offsets)
+                };
+                let frames = exposures.iter().enumerate().take(capture.frames_of(split));
+                let exposures = frames.map(of_frame).collect::<Result<Vec<_>>>()?;
+                views.extend(view.map(|view| ViewOf { exposures: shortened(exposures), ..view }));
             }
         }
         Ok(Self { views })
     }
+}
+
+/// One value for all frames where it is the same in all, none where that is neutral.
+fn shortened(mut offsets: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    if offsets.iter().all(|o| *o == offsets[0]) {
+        offsets.truncate(1);
+    }
+    if offsets == [Exposure::NEUTRAL.offsets] { Vec::new() } else { offsets }
 }
 
 fn view_of(
@@ -81,6 +98,6 @@ fn view_of(
         cy: lens.cy,
         world_from_camera: poses,
         photographs: with_photographs.then_some(photographs),
-        exposure: None,
+        exposures: Vec::new(),
     }))
 }

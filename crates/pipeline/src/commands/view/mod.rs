@@ -12,7 +12,6 @@ use crate::commands::view::page::{ENGINE, FILES, engine};
 use crate::commands::view::points_stream::write_points;
 use crate::job::manifest::Manifest;
 use crate::job::request::RunRequest;
-use crate::outputs::exposure_files::read_exposures;
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::read_json;
@@ -20,7 +19,6 @@ use crate::plugins::registry::open_capture;
 use anyhow::{Context, Result};
 use clap::Args;
 use ffgs_method::{Capture, Split, ViewAt};
-use ffgs_reconstruction::Exposures;
 use ffgs_viewer::{Site, Source, Viewer};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -59,7 +57,7 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
         let manifest: Manifest = read_json(&run.manifest())?;
         let stream = run.inside(&["export", "stream"])?;
         let capture = open_capture(&manifest.capture_path)?;
-        let viewer = serve(Some((capture, read_exposures(&run)?)), &stream, args.port)?;
+        let viewer = serve(Some((capture, Some(&run))), &stream, args.port)?;
         follow(folder, &stream);
         viewer.wait();
     } else if folder.join("manifest.json").exists() {
@@ -70,7 +68,7 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
         })?;
         let stream = tempfile::tempdir()?;
         write_points(&*capture, stream.path())?;
-        serve(Some((capture, Exposures::default())), stream.path(), args.port)?.wait();
+        serve(Some((capture, None)), stream.path(), args.port)?.wait();
     }
     Ok(())
 }
@@ -81,24 +79,27 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
 /// When the capture cannot be opened, or the page's engine is not there.
 pub(crate) fn beside(request: &RunRequest) -> Result<Viewer> {
     let stream = request.out.join("export").join("stream");
-    // Which exposures differ is not known before the first frame is trained.
-    let capture = (open_capture(&request.capture)?, Exposures::default());
-    let viewer = serve(Some(capture), &stream, 0)?;
+    // What exposures a run will find is not known before.
+    let viewer = serve(Some((open_capture(&request.capture)?, None)), &stream, 0)?;
     let folder = request.out.clone();
     std::thread::spawn(move || follow(&folder, &stream));
     Ok(viewer)
 }
 
-/// The page with the stream in a folder, the cameras of a capture and their photographs.
-fn serve(capture: Option<(Box<dyn Capture>, Exposures)>, stream: &Path, port: u16) -> Result<Viewer> {
+/// The page with the stream in a folder, the cameras of a capture and their photographs, in the exposures that a run found.
+fn serve(
+    capture: Option<(Box<dyn Capture>, Option<&RunFolder>)>,
+    stream: &Path,
+    port: u16,
+) -> Result<Viewer> {
     let engine = engine()?;
     let mut site = FILES.iter().fold(Site::default(), |site, (name, bytes)| {
         site.with(name, Source::Bytes(bytes.as_bytes().to_vec()))
     });
     site = site
         .with(ENGINE, Source::Bytes(std::fs::read(&engine).with_context(|| engine.display().to_string())?));
-    if let Some((capture, exposures)) = capture {
-        let views = Views::of(&*capture, &exposures, true)?;
+    if let Some((capture, run)) = capture {
+        let views = Views::of(&*capture, run, true)?;
         site = site.with("cameras.json", Source::Bytes(serde_json::to_vec(&views)?));
         site = site.with("photo", Source::Lookup(Box::new(move |name| photograph(&*capture, name))));
     }
