@@ -84,7 +84,10 @@ fn exposure_steps(capture: &dyn Capture, view: usize, history: &ViewHistory) -> 
     let frames: Vec<usize> = (1..history.brightness.len()).filter(step).collect();
     (!frames.is_empty()).then(|| Note {
         file: capture.part(Part::Images).join(&capture.views(Split::Train)[view]),
-        text: format!("exposure changes from one frame to the next at frame {}", listed(&frames)),
+        text: format!(
+            "exposure changes from one frame to the next at frame {}; ffgs run follows it",
+            listed(&frames)
+        ),
     })
 }
 

@@ -170,7 +170,7 @@ fn exposure(capture: &dyn Capture, views: &[ViewSummary]) -> Option<Note> {
     (brightest.brightness > EXPOSURE_RATIO * darkest.brightness).then(|| Note {
         file: capture.part(Part::Images),
         text: format!(
-            "exposure differs: camera '{}' has a mean of {:.0}, '{}' of {:.0}",
+            "exposure differs: camera '{}' has a mean of {:.0}, '{}' of {:.0}; ffgs run removes it",
             darkest.name, darkest.brightness, brightest.name, brightest.brightness
         ),
     })
