@@ -38,6 +38,8 @@ pub struct BackgroundConfig {
     /// A Gaussian with less than this share of what it colours outside the masks keeps its colours of the frame before for the next one; 0 = all keep what
     /// they get.
     pub solve_in_view: f32,
+    /// Pixels of all views per static Gaussian that are enough: where there are more, those of a lattice are traced; 0 = all are.
+    pub solve_pixels: usize,
     /// Most memory (MiB) for the traced contributors of all views; beyond it fewer are kept, then those of a lattice of pixels.
     pub solve_memory_mib: usize,
     /// Steps per frame, one view each; method `steps`.
@@ -60,7 +62,7 @@ impl Default for BackgroundConfig {
     fn default() -> Self {
         Self {
             static_method: StaticMethod::Solve,
-            solve_iterations: 8,
+            solve_iterations: 4,
             solve_degree: 3,
             solve_noise: 0.05,
             solve_sh0_change: 0.3,
@@ -68,6 +70,7 @@ impl Default for BackgroundConfig {
             solve_sh0_drift: 0.03,
             solve_sh_rest_drift: 0.005,
             solve_in_view: 0.7,
+            solve_pixels: 30,
             solve_memory_mib: 4096,
             static_iterations: 500,
             sh0_rate: 1e-3,

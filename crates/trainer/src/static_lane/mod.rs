@@ -53,20 +53,23 @@ struct Tracing {
 }
 
 impl BackgroundConfig {
-    /// What the memory allows to be traced, when all views have so many pixels; `None` where that is too little to be solved.
-    fn tracing(&self, pixels: usize) -> Option<Tracing> {
+    /// What is traced of a layer, when all views have so many pixels; `None` where the memory allows too little to be solved.
+    fn tracing(&self, pixels: usize, gaussians: usize) -> Option<Tracing> {
         let contributors = |stride: usize| {
             let bytes = pixels.div_ceil(stride * stride).max(1) * size_of::<trace::Contribution>();
             ((self.solve_memory_mib << 20) / bytes).min(MOST_CONTRIBUTORS)
         };
         let enough = |&stride: &usize| contributors(stride) >= FEWEST_CONTRIBUTORS;
-        let stride = (1..=LARGEST_STRIDE).find(enough)?;
+        let told = self.solve_pixels.saturating_mul(gaussians);
+        let tells = |stride: &usize| *stride == 1 || (told > 0 && pixels / (stride * stride) >= told);
+        let sparsest = (1..=LARGEST_STRIDE).rev().find(tells).unwrap_or(1);
+        let stride = (sparsest..=LARGEST_STRIDE).find(enough)?;
         Some(Tracing { contributors: contributors(stride), stride, degree: self.solve_degree })
     }
 
-    /// Most bytes that the contributors of so many pixels take; 0 where `steps` are taken.
+    /// Most bytes that the contributors of so many pixels take, however many Gaussians there are; 0 where `steps` are taken.
     pub fn contributor_bytes(&self, pixels: usize) -> usize {
-        let tracing = self.tracing(pixels).filter(|_| self.static_method == StaticMethod::Solve);
+        let tracing = self.tracing(pixels, usize::MAX).filter(|_| self.static_method == StaticMethod::Solve);
         let traced = |t: Tracing| t.contributors * pixels.div_ceil(t.stride * t.stride);
         tracing.map_or(0, traced) * size_of::<trace::Contribution>()
     }
@@ -99,7 +102,8 @@ impl StaticLane {
         if layer.is_empty() || views.is_empty() {
             return Ok(());
         }
-        let tracing = config.tracing(views.iter().map(|v| v.camera.size().pixels()).sum());
+        let pixels = views.iter().map(|v| v.camera.size().pixels()).sum();
+        let tracing = config.tracing(pixels, layer.len());
         if let Some(tracing) = tracing.filter(|_| config.static_method == StaticMethod::Solve) {
             self.trace(tracing, views, layer);
             // A pixel of the lattice speaks for those that are left out.

@@ -426,8 +426,9 @@ mod tests {
     fn views_of_any_size_are_solved_within_the_memory() {
         let config = BackgroundConfig::default();
         let hd = 1920 * 1080;
-        let traced =
-            |views: usize, pixels: usize| config.tracing(views * pixels).map(|t| (t.stride, t.contributors));
+        let traced = |views: usize, pixels: usize| {
+            config.tracing(views * pixels, usize::MAX).map(|t| (t.stride, t.contributors))
+        };
         assert_eq!(traced(24, 320 * 180), Some((1, 16)));
         assert_eq!(traced(60, hd), Some((1, 4)));
         assert_eq!(traced(70, hd), Some((2, 14)));
@@ -436,7 +437,20 @@ mod tests {
             let bytes = config.contributor_bytes(pixels);
             assert!((1 << 30..=4 << 30).contains(&bytes), "{pixels}: {bytes}");
         }
-        assert!(BackgroundConfig { solve_memory_mib: 0, ..config }.tracing(hd).is_none());
+        assert!(BackgroundConfig { solve_memory_mib: 0, ..config }.tracing(hd, 1).is_none());
+    }
+
+    #[test]
+    fn more_pixels_than_the_gaussians_need_are_left_out() {
+        let config = BackgroundConfig { solve_pixels: 30, ..BackgroundConfig::default() };
+        let stride = |pixels: usize| config.tracing(pixels, 1000).map(|t| (t.stride, t.contributors));
+        assert_eq!(stride(30_000), Some((1, 16)));
+        assert_eq!(stride(119_999), Some((1, 16)));
+        assert_eq!(stride(120_000), Some((2, 16)));
+        assert_eq!(stride(270_000), Some((3, 16)));
+        assert_eq!(stride(1 << 30), Some((8, 16)), "the largest stride");
+        let all = BackgroundConfig { solve_pixels: 0, ..config };
+        assert_eq!(all.tracing(270_000, 1000).map(|t| t.stride), Some(1));
     }
 
     /// Frames of the true light, then one that a single view sees, with a shadow: a Gaussian that was seen more often changes less.
