@@ -120,10 +120,11 @@ const tests = {
         const before = (await photograph.screenshot()).toString('base64');
         const middle = await page.evaluate(() => {
             const view = globalThis.player.view();
-            const own = view.exposure;
-            view.exposure = [2, 0, -2];
+            const own = view.exposures;
+            const frame = globalThis.player.stream.entries[globalThis.player.at].frame;
+            view.exposures = [...Array(frame).fill([0, 0, 0]), [2, 0, -2]];
             globalThis.player.showPhotograph();
-            view.exposure = own;
+            view.exposures = own;
             return [...document.querySelectorAll('#exposure feComponentTransfer > *')].map((f) => Number(f.getAttribute('tableValues').split(' ')[32]));
         });
         // Odds of one half, divided by e^2, by 1 and by e^-2.
