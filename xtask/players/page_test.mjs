@@ -29,7 +29,8 @@ function serve(folder) {
 }
 
 const state = (page, name) => page.evaluate((key) => document.body.dataset[key], name);
-const ready = (page) => page.waitForFunction(() => document.body.dataset.state === 'ready' && Number(document.body.dataset.coloured) === globalThis.player.at);
+// The document may not have begun to load.
+const ready = (page) => page.waitForFunction(() => document.body?.dataset.state === 'ready' && Number(document.body.dataset.coloured) === globalThis.player.at);
 /** Clicks without waiting for pictures, of which software draws few. */
 const press = (page, id) => page.evaluate((name) => document.getElementById(name).click(), id);
 const shot = (page, name) => shots && page.screenshot({ path: join(shots, `${name}.png`) });
@@ -219,7 +220,7 @@ const tests = {
         await page.keyboard.press('.');
         await page.waitForFunction(() => document.getElementById('message').textContent.includes('000001.4df is damaged'));
         await page.keyboard.press('Home');
-        await page.waitForFunction(() => document.body.dataset.state === 'ready');
+        await page.waitForFunction(() => document.body?.dataset.state === 'ready');
         if (page.failure) throw page.failure;
     },
 

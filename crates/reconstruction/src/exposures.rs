@@ -267,6 +267,8 @@ mod tests {
         assert!(likeness(&walk) > 0.8, "{}", likeness(&walk));
         let alternating = row(&[0.5, -0.5, 0.5, -0.5, 0.5, -0.5]);
         assert_eq!(likeness(&alternating), 0.0);
+        let by_chance = row(&[-0.1, 0.3, 0.3, 0.0, -0.1, -0.3, -0.2, -0.4]);
+        assert_eq!(likeness(&by_chance), 0.0, "a slope of 0.8, two standard errors");
         assert_eq!((from_neighbours(&[], &at(0.0)), likeness(&[])), ([0.0; 3], 0.0));
         assert_eq!(from_neighbours(&walk[..1], &at(0.0)), [-0.6; 3]);
     }
