@@ -19,7 +19,7 @@ impl Exposure {
     #[must_use]
     pub fn removed(&self, photograph: &ImageRgb8) -> ImageRgb8 {
         let tables = self.offsets.map(|offset| {
-            let value = |byte: usize| shifted(byte as f32 / 255.0, (-offset).exp() as f32);
+            let value = |byte: usize| scale_odds(byte as f32 / 255.0, (-offset).exp() as f32);
             std::array::from_fn::<u8, 256, _>(|byte| (value(byte) * 255.0).round() as u8)
         });
         let data = photograph.data().iter().enumerate().map(|(i, &byte)| tables[i % 3][usize::from(byte)]);
@@ -34,7 +34,7 @@ impl Exposure {
         let pixels = rendered.size().pixels();
         for (plane, offset) in rendered.data_mut().chunks_mut(pixels.max(1)).zip(self.offsets) {
             let odds = offset.exp() as f32;
-            plane.iter_mut().for_each(|v| *v = shifted(v.clamp(0.0, 1.0), odds));
+            plane.iter_mut().for_each(|v| *v = scale_odds(v.clamp(0.0, 1.0), odds));
         }
     }
 }
@@ -44,14 +44,14 @@ impl Exposure {
     pub(crate) fn of_colour(self, colour: [f32; 3]) -> ([f32; 3], [f32; 3]) {
         let odds = self.offsets.map(|offset| offset.exp() as f32);
         let inside = colour.map(|v| v.clamp(0.0, 1.0));
-        let shown = std::array::from_fn(|c| colour[c] - inside[c] + shifted(inside[c], odds[c]));
+        let shown = std::array::from_fn(|c| colour[c] - inside[c] + scale_odds(inside[c], odds[c]));
         let slopes = std::array::from_fn(|c| odds[c] / (1.0 - inside[c] + inside[c] * odds[c]).powi(2));
         (shown, slopes)
     }
 }
 
 /// The value whose odds are `odds` times those of `value`, which is in 0..=1.
-fn shifted(value: f32, odds: f32) -> f32 {
+pub fn scale_odds(value: f32, odds: f32) -> f32 {
     value * odds / (1.0 - value + value * odds)
 }
 

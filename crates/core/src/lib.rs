@@ -25,7 +25,7 @@ mod view;
 pub use atomic_file::write_atomically;
 pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
 pub use estimate::{EstimateStatus, Estimates, Observations};
-pub use exposure::Exposure;
+pub use exposure::{Exposure, scale_odds};
 pub use gaussians::{Gaussians, PixelFilter, SH_C0, ShapeError, logit, sh_coefficients, sigmoid};
 pub use image::{ImageRgb8, PlanarImage};
 pub use input_file::{is_present, open_input, read_bytes, read_text, refuse_link};

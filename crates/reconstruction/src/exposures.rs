@@ -218,8 +218,8 @@ fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
     if slope > NO_CHANCE * error { slope.clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// 0 for none.
-fn median(mut values: Vec<f64>) -> f64 {
+/// The upper one of two in the middle; 0 for none.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     let half = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
 }

@@ -1,6 +1,7 @@
 //! Light and exposures that change from frame to frame: what all cameras see changes the scene, what one camera sees is its exposure
 //! (docs/adr/0090-exposures-and-light-are-followed.md).
 
+use crate::exposures::median;
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{Exposure, StageLog, TrainingView, stage};
@@ -35,8 +36,9 @@ impl Reconstructor<'_> {
             let start = Instant::now();
             let Changes { light, cameras } = Changes::of(&self.measure(state, &shots, now)?, least);
             if let Some(light) = light {
-                tracing::debug!("the light changes by {:.3?} (log odds)", light.offsets);
+                tracing::info!("frame {frame}: the light changes by {:.3?} (log odds)", light.offsets);
                 state.scene.relight(light);
+                log.skip("changes of light that the scene followed", 1);
             }
             let names = shots.iter().map(|at| self.capture.views(at.split)[at.view].clone());
             state.exposures = state.exposures.changed(names.zip(cameras));
@@ -109,23 +111,17 @@ impl Changes {
 /// The step that `most` cameras take, if there is one.
 fn common(steps: &[[f64; 3]], most: usize, least: f64) -> Option<Exposure> {
     let grey = |step: &[f64; 3]| step.iter().sum::<f64>() / 3.0;
-    let middle = median(steps.iter().map(grey).collect())?;
+    let middle = median(steps.iter().map(grey).collect());
     let alike = steps.iter().filter(|step| (grey(step) - middle).abs() < ALIKE * middle.abs()).count();
     if middle.abs() < least || alike < most {
         return None;
     }
-    let of_channel = |c: usize| median(steps.iter().map(|step| step[c]).collect()).unwrap_or(0.0);
+    let of_channel = |c: usize| median(steps.iter().map(|step| step[c]).collect());
     Some(Exposure { offsets: [0, 1, 2].map(of_channel) })
 }
 
 fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|c| a[c] - b[c])
-}
-
-/// The upper one of two in the middle; `None` of none.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let half = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(half, f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ const OPAQUE: f32 = 0.7;
 /// Largest difference of two depths of one point, as a share of the depth.
 const SAME_DEPTH: f64 = 0.02;
 /// Values nearer than this to black or white are clipped: they say nothing of the exposure.
-const CLIPPED: f64 = 0.02;
+pub(crate) const CLIPPED: f64 = 0.02;
 /// Standard deviation of an offset before anything is known (log odds).
 const USUAL: f64 = 0.5;
 /// Least scale of the residuals (log odds): views of one surface never agree better.
@@ -47,7 +47,8 @@ struct Sight {
 /// colour, each view one offset per channel, and the robust squared difference is least: a surface that reflects, or a depth that is wrong,
 /// is outvoted. A view that shares next to nothing with others is neutral.
 pub fn estimate_exposures(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<Exposure> {
-    let views: Vec<TrainingView> = views.par_iter().map(|view| view.reduced(factor(view))).collect();
+    let views: Vec<TrainingView> =
+        views.par_iter().map(|view| view.reduced(factor(view, MOST_PIXELS))).collect();
     let views = views.as_slice();
     let depths: Vec<Vec<f32>> = views.iter().map(|view| depths(gaussians, &view.camera)).collect();
     let points: Vec<Vec<(usize, usize)>> =
@@ -66,9 +67,9 @@ pub fn estimate_exposures(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<
     (0..views.len()).map(|view| Exposure { offsets: [0, 1, 2].map(|c| channels[c][view]) }).collect()
 }
 
-/// How far a view is reduced.
-fn factor(view: &TrainingView) -> usize {
-    (view.camera.size().pixels() as f64 / MOST_PIXELS as f64).sqrt().ceil() as usize
+/// How far a view is reduced, to have at most so many pixels.
+pub(crate) fn factor(view: &TrainingView, most_pixels: usize) -> usize {
+    (view.camera.size().pixels() as f64 / most_pixels as f64).sqrt().ceil() as usize
 }
 
 impl Sight {
@@ -278,7 +279,7 @@ mod tests {
             Camera::new(intrinsics, pose, size).unwrap()
         };
         let views = taken_by(large, &wall, &EXPOSURES);
-        assert_eq!(factor(&views[0]), 2);
+        assert_eq!(factor(&views[0], MOST_PIXELS), 2);
         let found = estimate_exposures(&wall, &views);
         assert!(furthest(&found, &EXPOSURES) < 0.03, "{found:?}");
     }

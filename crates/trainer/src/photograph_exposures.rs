@@ -1,7 +1,9 @@
 //! Exposures of the photographs of a frame against the scene that they show (docs/adr/0090-exposures-and-light-are-followed.md).
 
 use crate::background::{SkyBehind, outside};
-use ffgs_core::{Gaussians, SkyCube, TrainingView};
+use crate::exposures::{CLIPPED, factor};
+use crate::view::median;
+use ffgs_core::{Gaussians, SkyCube, TrainingView, scale_odds};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 
 /// Pixels of a view beyond which it is reduced: three numbers need no more.
@@ -12,8 +14,6 @@ const BLOCKS: usize = 4;
 const FEWEST_BLOCKS: usize = 6;
 /// and pixels that tell that of a block.
 const FEWEST_PIXELS: usize = 40;
-/// Values nearer than this to black or white are clipped: they say nothing of the exposure.
-const CLIPPED: f32 = 0.02;
 /// Residual at which the weight is a quarter, in units of the median residual,
 const SOFT: f32 = 1.5;
 /// and the least of it: renders never fit better.
@@ -50,7 +50,7 @@ pub fn photograph_exposures(
 ) -> Vec<Option<PhotographExposure>> {
     let (mut tape, mut behind) = (RenderTape::default(), SkyBehind::new());
     let measure = |view: &TrainingView| {
-        let view = view.reduced(factor(view));
+        let view = view.reduced(factor(view, MOST_PIXELS));
         let background = Background::Image(behind.render(sky, &view.camera));
         let frame = View { camera: &view.camera, background, tiles: None };
         CpuRasterizer::default().render(layer, &frame, &mut tape);
@@ -58,11 +58,6 @@ pub fn photograph_exposures(
         compared(&view, mask_dilation, &shown)
     };
     views.iter().map(measure).collect()
-}
-
-/// How far a view is reduced.
-fn factor(view: &TrainingView) -> usize {
-    (view.camera.size().pixels() as f64 / MOST_PIXELS as f64).sqrt().ceil() as usize
 }
 
 /// What `shown` says of channels and pixels outside the mask.
@@ -87,8 +82,8 @@ fn compared(
             return None;
         }
         let offsets: Vec<f64> = blocks.iter().map(|block| brighter(block)).collect();
-        let middle = median(offsets.clone());
-        let spread = NORMAL * median(offsets.iter().map(|offset| (offset - middle).abs()).collect());
+        let middle = median(offsets.iter().copied());
+        let spread = NORMAL * median(offsets.iter().map(|offset| (offset - middle).abs()));
         out.offsets[c] = middle;
         out.errors[c] = OF_MEDIAN * spread / (offsets.len() as f64).sqrt();
     }
@@ -96,7 +91,8 @@ fn compared(
 }
 
 fn tells(value: f32) -> bool {
-    value > CLIPPED && value < 1.0 - CLIPPED
+    let clipped = CLIPPED as f32;
+    value > clipped && value < 1.0 - clipped
 }
 
 /// Offset of the log odds from renders to photographs: Gauss-Newton steps on the values, with the weights of Geman and McClure.
@@ -104,13 +100,13 @@ fn brighter(shown: &[Shown]) -> f64 {
     let mut offset = 0.0_f64;
     for _ in 0..ROUNDS {
         let odds = offset.exp() as f32;
-        let shifted = |v: f32| v * odds / (1.0 - v + v * odds);
-        let residuals =
-            shown.iter().map(|&(render, photograph)| f64::from((photograph - shifted(render)).abs()));
-        let scale = (SOFT * median(residuals.collect()) as f32).max(LEAST_SCALE);
+        let residuals = shown
+            .iter()
+            .map(|&(render, photograph)| f64::from((photograph - scale_odds(render, odds)).abs()));
+        let scale = (SOFT * median(residuals) as f32).max(LEAST_SCALE);
         let (mut right, mut square) = (0.0_f64, f64::MIN_POSITIVE);
         for &(render, photograph) in shown {
-            let value = shifted(render);
+            let value = scale_odds(render, odds);
             let (residual, slope) = (photograph - value, value * (1.0 - value));
             let weight = (scale * scale / (scale * scale + residual * residual)).powi(2);
             right += f64::from(weight * slope * residual);
@@ -119,12 +115,6 @@ fn brighter(shown: &[Shown]) -> f64 {
         offset += right / square;
     }
     offset
-}
-
-/// The upper one of two in the middle.
-fn median(mut values: Vec<f64>) -> f64 {
-    let half = values.len() / 2;
-    *values.select_nth_unstable_by(half, f64::total_cmp).1
 }
 
 #[cfg(test)]

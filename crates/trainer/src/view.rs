@@ -21,7 +21,7 @@ pub fn camera_extent(views: &[TrainingView]) -> f32 {
 }
 
 /// The upper one of two in the middle; 0 for none.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let half = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
