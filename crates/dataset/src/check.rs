@@ -84,7 +84,8 @@ fn check_points(capture: &dyn Capture, report: &mut CheckReport) -> Points {
         add(format!("{} of {all} points are NaN or infinite", points.dropped), "remove these rows");
     }
     if points.is_empty() {
-        add("no initial points".into(), "store points of frame 0, e.g. from a structure-from-motion tool");
+        let fix = "`ffgs prepare CAPTURE --out NEW` makes points, or store some of frame 0, e.g. from structure from motion";
+        add("no initial points".into(), fix);
     }
     points
 }
@@ -232,8 +233,11 @@ fn check_masks(capture: &dyn Capture, report: &mut CheckReport) {
     let decoded: usize = train().map(|v| v.decoded_masks).sum();
     let file = capture.part(Part::Masks);
     if decoded == empty && report.faults.is_empty() {
-        let what = if masks == 0 { "no masks" } else { "every training mask is empty" };
-        let text = format!("{what}: nothing is marked as moving, the scene is taken for static");
+        let (what, fix) = match masks {
+            0 => ("no masks", "; `ffgs prepare CAPTURE --out NEW` makes some"),
+            _ => ("every training mask is empty", ""),
+        };
+        let text = format!("{what}: nothing is marked as moving, the scene is taken for static{fix}");
         report.notes.push(Note { file, text });
     }
     if masks == 0 && !is_present(&capture.part(Part::Masks)) {

@@ -58,8 +58,8 @@ impl Seam {
         let large = jumps.iter().any(|jump| jump.abs() > TOLD);
         large.then(|| {
             format!(
-                "frame {}: the quality jumps by {:+.2} dB PSNR, {:+.2} dB MPSNR where two parts meet; more --key-iterations \
-                 or --scout-iterations, or longer parts, make it smaller",
+                "frame {}: the quality jumps by {:+.2} dB PSNR, {:+.2} dB MPSNR where two parts meet; longer parts \
+                 have fewer seams, and other --key-iterations, more or fewer, can make this one smaller",
                 self.frame, jumps[0], jumps[1]
             )
         })

@@ -81,7 +81,7 @@ pub(crate) struct PlanArgs {
     /// Iterations of the dynamic layer per frame of the scout [default: half of those of a frame]
     #[arg(long, value_name = "N")]
     pub(crate) scout_iterations: Option<usize>,
-    /// Iterations that finetune a key frame [default: nine times those of a frame]
+    /// Iterations that finetune a key frame [default: three times those of a frame]
     #[arg(long, value_name = "N")]
     pub(crate) key_iterations: Option<usize>,
 }

@@ -56,7 +56,7 @@ impl Plan {
             frames,
             length: args.length as usize,
             scout_iterations: args.scout_iterations.unwrap_or(config.dynamic.iterations / 2),
-            key_iterations: args.key_iterations.unwrap_or(9 * config.dynamic.iterations),
+            key_iterations: args.key_iterations.unwrap_or(3 * config.dynamic.iterations),
             train_views: args.train_views.clone(),
             config,
         })
