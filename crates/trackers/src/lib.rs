@@ -3,6 +3,7 @@
 //!
 //! All positions are continuous pixel coordinates with the centre of the first pixel at (0.5, 0.5).
 
+mod agreement;
 mod corners;
 mod descriptors;
 mod lucas_kanade;

@@ -1,5 +1,6 @@
 //! The tracker itself: corners, matches and pyramidal Lucas-Kanade between two photographs, checked forwards and backwards.
 
+use crate::agreement::agreed;
 use crate::corners::corners;
 use crate::descriptors::{Descriptor, describe};
 use crate::lucas_kanade::track;
@@ -43,6 +44,7 @@ impl Default for TrackerConfig {
 pub struct Frame {
     pyramid: Pyramid,
     size: ImageSize,
+    interest: Option<Mask>,
     corners: Vec<[f32; 2]>,
     /// Positions of the strongest corners.
     keypoints: Vec<[f32; 2]>,
@@ -76,7 +78,7 @@ impl Frame {
         found.sort_by(|a, b| wanted(&b.0).cmp(&wanted(&a.0)).then(b.1.total_cmp(&a.1)));
         let keypoints: Vec<[f32; 2]> = found.iter().take(config.described).map(|(p, _)| *p).collect();
         let descriptors = keypoints.iter().map(|p| describe(&pyramid.levels[0], *p)).collect();
-        Self { pyramid, size, corners: all, keypoints, descriptors }
+        Self { pyramid, size, interest: interest.cloned(), corners: all, keypoints, descriptors }
     }
 
     /// Positions of all corners.
@@ -95,7 +97,7 @@ impl Frame {
     }
 }
 
-/// Sparse tracks: descriptors that are each other's nearest and distinct, refined by Lucas-Kanade.
+/// Sparse tracks: descriptors that are each other's nearest and distinct, refined by Lucas-Kanade, where tracks around them agree.
 pub fn matches(prev: &Frame, next: &Frame, config: &TrackerConfig) -> TrackSet {
     let reach = config.reach * prev.size.width as f32;
     let matched: Vec<Option<[f32; 2]>> = (0..prev.keypoints.len())
@@ -107,22 +109,23 @@ pub fn matches(prev: &Frame, next: &Frame, config: &TrackerConfig) -> TrackSet {
             is_mutual.then(end).flatten()
         })
         .collect();
-    collected(&prev.keypoints, matched)
+    collected(prev, &prev.keypoints, matched)
 }
 
 /// Medium tracks: every corner, from no motion and from the motions of the sparse tracks around it; the best of
-/// those that lead back to the corner counts.
+/// those that lead back to the corner counts, where tracks around it agree.
 pub fn lucas_kanade(prev: &Frame, next: &Frame, sparse: &TrackSet, config: &TrackerConfig) -> TrackSet {
     let tracked: Vec<Option<[f32; 2]>> =
         prev.corners.par_iter().map(|p| best_track(prev, next, *p, sparse, config)).collect();
-    collected(&prev.corners, tracked)
+    collected(prev, &prev.corners, tracked)
 }
 
-/// The tracks that have an end.
-fn collected(starts: &[[f32; 2]], ends: Vec<Option<[f32; 2]>>) -> TrackSet {
+/// The tracks that have an end, and neighbours that agree.
+fn collected(prev: &Frame, starts: &[[f32; 2]], ends: Vec<Option<[f32; 2]>>) -> TrackSet {
     let (src, tgt): (Vec<_>, Vec<_>) =
         starts.iter().zip(ends).filter_map(|(start, end)| Some((*start, end?))).unzip();
-    TrackSet { visibility: vec![1.0; src.len()], src, tgt }
+    let tracks = TrackSet { visibility: vec![1.0; src.len()], src, tgt };
+    agreed(&tracks, prev.interest.as_ref(), prev.size.width)
 }
 
 /// The nearest descriptors of `to` to keypoint `i` of `from`.
