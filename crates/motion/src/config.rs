@@ -70,6 +70,8 @@ pub struct MarkingConfig {
     /// Whether Gaussians outside the masks of t are placed once more by their neighbours' motion, many that are lost at once wait for the next frame,
     /// and masks that flicker have no say.
     pub second_chance: bool,
+    /// Share of what a Gaussian colours in the views of the first frame that has to lie in the masks; 0 = where it lies alone counts.
+    pub shown_share: f32,
     /// Whether both layers are marked again at t-1 in every frame.
     pub every_frame: bool,
     /// Alpha of the moving layer from which it covers what is behind it; static Gaussians that are covered in all views, or stand before it in
@@ -87,6 +89,7 @@ impl Default for MarkingConfig {
             slack_share: 0.2,
             all_views: false,
             second_chance: true,
+            shown_share: 0.25,
             every_frame: false,
             covering_alpha: 0.5,
             loss_warning: 0.2,
@@ -102,6 +105,7 @@ impl MarkingConfig {
             slack: 2,
             slack_share: 0.0,
             second_chance: false,
+            shown_share: 0.0,
             every_frame: true,
             covering_alpha: 0.0,
             ..Self::default()
@@ -110,7 +114,7 @@ impl MarkingConfig {
 
     /// Whether both mark the same Gaussians in the first frame.
     pub fn marks_as(&self, other: &Self) -> bool {
-        (self.dilation, self.slack()) == (other.dilation, other.slack())
+        (self.dilation, self.slack(), self.shown_share) == (other.dilation, other.slack(), other.shown_share)
     }
 
     /// The views that may disagree.

@@ -20,6 +20,7 @@ mod left_out;
 mod light;
 mod marking;
 mod monitor;
+mod outside;
 mod reconstructor;
 mod reduced;
 mod shown;

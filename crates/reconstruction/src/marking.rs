@@ -1,5 +1,6 @@
 //! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
 
+use crate::outside::shown_outside;
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{
@@ -32,7 +33,7 @@ impl Reconstructor<'_> {
     }
 }
 
-/// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move. `views` are those that later
+/// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move, unless the photographs show them outside. `views` are those that later
 /// frames have: they say how large a pixel is where a Gaussian lies.
 ///
 /// # Errors
@@ -44,7 +45,9 @@ pub(crate) fn split(
     views: &[TrainingView],
     training: &[TrainingView],
 ) -> Result<Scene> {
-    let moving = silhouettes(marking, training)?.hold(&all.positions())?;
+    let held = silhouettes(marking, training)?.hold(&all.positions())?;
+    let outside = shown_outside(marking, all, training);
+    let moving: Vec<bool> = held.iter().zip(outside).map(|(&held, outside)| held && !outside).collect();
     // Training left what it added at the end; all later frames keep this order.
     let order = spatial_order(&all.means);
     let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();

@@ -1,0 +1,76 @@
+//! Gaussians that the views show outside their masks (docs/adr/0092-what-is-shown-outside-the-masks-is-static.md).
+
+use ffgs_core::{Gaussians, TrainingView};
+use ffgs_motion::MarkingConfig;
+use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
+
+/// Heaviest contributors of a pixel that are counted.
+const CONTRIBUTORS: usize = 16;
+
+/// Whether less than `marking.shown_share` of what each Gaussian colours in all views lies in their masks, widened by `marking.dilation`. A kerb behind a car
+/// lies in the masks of the cameras that the car hides it from; those show nothing of it. What no view shows is not judged.
+pub(crate) fn shown_outside(
+    marking: &MarkingConfig,
+    gaussians: &Gaussians,
+    views: &[TrainingView],
+) -> Vec<bool> {
+    // Weights `alpha T` in the masks, and in all pixels.
+    let mut sums = vec![[0.0_f32; 2]; gaussians.len()];
+    if marking.shown_share > 0.0 {
+        let mut tape = RenderTape::default();
+        views.iter().for_each(|view| add(&mut sums, marking, gaussians, view, &mut tape));
+    }
+    sums.iter().map(|[inside, all]| *inside < marking.shown_share * *all).collect()
+}
+
+/// Adds what one view shows.
+fn add(
+    sums: &mut [[f32; 2]],
+    marking: &MarkingConfig,
+    gaussians: &Gaussians,
+    view: &TrainingView,
+    tape: &mut RenderTape,
+) {
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
+    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
+    let top = rasterizer.top_contributors(gaussians, &frame, CONTRIBUTORS, tape);
+    let mask = view.mask.widened(marking.dilation);
+    let pixels = top.indices.chunks(CONTRIBUTORS).zip(top.weights.chunks(CONTRIBUTORS));
+    for ((indices, weights), &held) in pixels.zip(mask.data()) {
+        for (&i, &weight) in indices.iter().zip(weights).filter(|(i, _)| **i >= 0) {
+            let [inside, all] = &mut sums[i as usize];
+            *inside += if held == 0 { 0.0 } else { weight };
+            *all += weight;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{ball, photographs, without_masks};
+    use glam::Vec3;
+
+    #[test]
+    fn what_one_camera_shows_beside_the_body_and_the_others_hide_behind_it_is_outside() {
+        let body = ball(Vec3::ZERO);
+        let views = photographs(&body);
+        let mut all = body.clone();
+        // Behind the body for the first camera; the others see it beside the body.
+        let centre = views[0].camera.center().as_vec3();
+        all.extend(&ball(Vec3::ZERO).select(&[0]));
+        let last = all.len() - 1;
+        all.means[last] = (-centre.normalize() * 1.5).to_array();
+        let marking = MarkingConfig::default();
+        let found = shown_outside(&marking, &all, &views);
+        assert!(found[last], "in the mask of the first camera, which does not show it");
+        assert!(found[..last].iter().all(|outside| !outside), "the body itself");
+        assert!(!shown_outside(&marking, &all, &views[..1])[last], "nobody shows it: not judged");
+        let off = MarkingConfig { shown_share: 0.0, ..marking };
+        assert!(shown_outside(&off, &all, &views).iter().all(|outside| !outside));
+        assert!(
+            shown_outside(&marking, &body, &without_masks(views)).iter().any(|outside| *outside),
+            "no masks"
+        );
+    }
+}
