@@ -6,6 +6,7 @@
 
 mod atomic_file;
 mod camera;
+mod connected;
 mod estimate;
 mod exposure;
 mod gaussians;
@@ -24,6 +25,7 @@ mod view;
 
 pub use atomic_file::write_atomically;
 pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
+pub use connected::connected;
 pub use estimate::{EstimateStatus, Estimates, Observations};
 pub use exposure::{Exposure, scale_odds};
 pub use gaussians::{Gaussians, PixelFilter, SH_C0, ShapeError, logit, sh_coefficients, sigmoid};

@@ -26,7 +26,7 @@ fn counts(layer: &Gaussians, views: &[TrainingView], dilation: usize) -> Result<
 
 /// Per static Gaussian the rounds in which it is to be trained: `config.rounds` for those that `views`, all that frame 0
 /// has, mostly saw covered by something that moves.
-fn hidden(
+pub(crate) fn hidden(
     config: &DisocclusionConfig,
     layer: &Gaussians,
     views: &[TrainingView],

@@ -63,7 +63,7 @@ impl Reconstructor<'_> {
         self.warn_of_few_views(photographs, log)?;
         let (trained, exposures) = self.train_in_one_exposure(photographs, log)?;
         let sky = sky_or_none(trained.sky, &trained.gaussians, photographs.training());
-        Ok((self.split(&trained.gaussians, sky, photographs)?, exposures))
+        Ok((self.split((&trained.gaussians, 0), sky, photographs)?, exposures))
     }
 
     /// A first frame that was reconstructed before; its exposures are removed from `photographs`.
@@ -76,12 +76,13 @@ impl Reconstructor<'_> {
         scene.take_back();
         exposures.remove(self.capture, &photographs.shots, &mut photographs.views)?;
         if split_again {
-            scene = self.split(&scene.joint(), scene.sky, photographs)?;
+            let standing = scene.static_layer.len();
+            scene = self.split((&scene.joint(), standing), scene.sky, photographs)?;
         }
         Ok((scene, exposures))
     }
 
-    fn split(&self, all: &Gaussians, sky: SkyCube, photographs: &FirstViews) -> Result<Scene> {
+    fn split(&self, all: (&Gaussians, usize), sky: SkyCube, photographs: &FirstViews) -> Result<Scene> {
         split(&self.config.marking, all, sky, photographs.training(), &photographs.views)
     }
 

@@ -1,7 +1,7 @@
 //! The sequence of a frame. Read this file first: each step that it names has a file of its own.
 //!
 //! ```text
-//! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information
+//! frame 0   photographs -> train all Gaussians -> remove exposures -> split by masks -> learn information -> continue surfaces behind what moves
 //! frame t   state of t-1, photographs of t
 //!           -> follow the light -> mark again -> predict (the method) -> keep what stopped -> add newborn -> leave out what is covered or stands before it
 //!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
@@ -41,6 +41,7 @@ impl Reconstructor<'_> {
             let coarse = self.reduced(&scene, &photographs.views);
             learn(&mut scene, None, &coarse, log);
         }
+        self.continue_surfaces(&mut scene, &photographs.views, log)?;
         self.find_hidden(&mut scene, &photographs.views)?;
         let mut state = State::new(scene, photographs.into_training(), exposures);
         if let Some(iterations) = finetune {

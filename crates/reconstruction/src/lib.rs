@@ -3,6 +3,7 @@
 //! No file is opened here: cameras, points and tracks come through the traits of `method`, photographs from the caller. What moves the
 //! scene is a [`MotionMethod`](ffgs_method::MotionMethod).
 
+mod behind;
 mod birth;
 mod config;
 mod covered;

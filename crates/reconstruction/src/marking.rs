@@ -1,6 +1,6 @@
 //! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
 
-use crate::outside::shown_outside;
+use crate::outside::{is_outside, shown_weights};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{
@@ -33,21 +33,27 @@ impl Reconstructor<'_> {
     }
 }
 
-/// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move, unless the photographs show them outside. `views` are those that later
-/// frames have: they say how large a pixel is where a Gaussian lies.
+/// Weights of its pixels, summed over all views of the first frame, below which a Gaussian is hidden in them.
+pub(crate) const HIDDEN_BELOW: f32 = 1.0;
+
+/// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move, unless the photographs show them outside. Of the first
+/// `standing`, which stood still before, those stay that no photograph shows. `views` are those that later frames have: they say how large a pixel is where a
+/// Gaussian lies.
 ///
 /// # Errors
 /// When the masks do not fit their cameras.
 pub(crate) fn split(
     marking: &MarkingConfig,
-    all: &Gaussians,
+    (all, standing): (&Gaussians, usize),
     sky: SkyCube,
     views: &[TrainingView],
     training: &[TrainingView],
 ) -> Result<Scene> {
-    let held = silhouettes(marking, training)?.hold(&all.positions())?;
-    let outside = shown_outside(marking, all, training);
-    let moving: Vec<bool> = held.iter().zip(outside).map(|(&held, outside)| held && !outside).collect();
+    let mut moving = silhouettes(marking, training)?.hold(&all.positions())?;
+    for (i, weights) in shown_weights(marking, all, training).into_iter().enumerate() {
+        let stays = i < standing && weights[1] < HIDDEN_BELOW;
+        moving[i] &= !stays && !is_outside(marking, weights);
+    }
     // Training left what it added at the end; all later frames keep this order.
     let order = spatial_order(&all.means);
     let indices = |keep: bool| order.iter().copied().filter(|&i| moving[i] == keep).collect::<Vec<_>>();
@@ -140,8 +146,9 @@ fn covariances(gaussians: &Gaussians, views: &[TrainingView]) -> Vec<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_scene::{ball, photographs};
     use ffgs_core::{ImageRgb8, ImageSize, Intrinsics};
-    use glam::DMat4;
+    use glam::{DMat4, Vec3};
 
     const SIZE: ImageSize = ImageSize { width: 40, height: 30 };
 
@@ -165,10 +172,24 @@ mod tests {
     }
 
     #[test]
+    fn what_stood_still_inside_the_body_is_marked_again_as_such() {
+        let mut all = ball(Vec3::ZERO).select(&[0]);
+        all.means[0] = [0.0; 3];
+        all.extend(&ball(Vec3::ZERO));
+        let views = photographs(&ball(Vec3::ZERO));
+        let standing = |count| {
+            let sky = SkyCube::filled(1, [0.0; 3]);
+            split(&MarkingConfig::default(), (&all, count), sky, &views, &views).unwrap().static_layer.len()
+        };
+        assert_eq!([standing(0), standing(1)], [0, 1], "no view shows it");
+        assert!(standing(all.len()) < 1000, "what the views show is inside the masks");
+    }
+
+    #[test]
     fn what_enters_the_masks_moves_and_what_leaves_them_stands_still() {
         let (marking, background) = (MarkingConfig::literal(), BackgroundConfig::default());
         let sky = SkyCube::filled(1, [0.0; 3]);
-        let mut scene = split(&marking, &at(&[-1.0, -0.5, 1.0]), sky, &views(), &views()).unwrap();
+        let mut scene = split(&marking, (&at(&[-1.0, -0.5, 1.0]), 0), sky, &views(), &views()).unwrap();
         assert_eq!(scene.dynamic.ids, [0, 1]);
         let ids = |scene: &Scene, x: f32| {
             scene.dynamic.gaussians.means.iter().position(|m| m[0] == x).map(|i| scene.dynamic.ids[i])

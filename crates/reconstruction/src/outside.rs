@@ -7,20 +7,22 @@ use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View
 /// Heaviest contributors of a pixel that are counted.
 const CONTRIBUTORS: usize = 16;
 
-/// Whether less than `marking.shown_share` of what each Gaussian colours in all views lies in their masks, widened by `marking.dilation`. A kerb behind a car
-/// lies in the masks of the cameras that the car hides it from; those show nothing of it. What no view shows is not judged.
-pub(crate) fn shown_outside(
+/// Per Gaussian the sums of its weights `alpha T` over the pixels of all views, `[inside their masks, all]`; masks are widened by `marking.dilation`.
+pub(crate) fn shown_weights(
     marking: &MarkingConfig,
     gaussians: &Gaussians,
     views: &[TrainingView],
-) -> Vec<bool> {
-    // Weights `alpha T` in the masks, and in all pixels.
-    let mut sums = vec![[0.0_f32; 2]; gaussians.len()];
-    if marking.shown_share > 0.0 {
-        let mut tape = RenderTape::default();
-        views.iter().for_each(|view| add(&mut sums, marking, gaussians, view, &mut tape));
-    }
-    sums.iter().map(|[inside, all]| *inside < marking.shown_share * *all).collect()
+) -> Vec<[f32; 2]> {
+    let mut sums = vec![[0.0; 2]; gaussians.len()];
+    let mut tape = RenderTape::default();
+    views.iter().for_each(|view| add(&mut sums, marking, gaussians, view, &mut tape));
+    sums
+}
+
+/// Whether less than `marking.shown_share` of what a Gaussian colours lies in the masks. A kerb behind a car lies in the masks of the cameras that the car hides it
+/// from; those show nothing of it. What no view shows is not judged.
+pub(crate) fn is_outside(marking: &MarkingConfig, [inside, all]: [f32; 2]) -> bool {
+    inside < marking.shown_share * all
 }
 
 /// Adds what one view shows.
@@ -62,15 +64,16 @@ mod tests {
         let last = all.len() - 1;
         all.means[last] = (-centre.normalize() * 1.5).to_array();
         let marking = MarkingConfig::default();
-        let found = shown_outside(&marking, &all, &views);
+        let outside = |marking: &MarkingConfig, gaussians: &Gaussians, views: &[TrainingView]| {
+            let weights = shown_weights(marking, gaussians, views);
+            weights.iter().map(|&weights| is_outside(marking, weights)).collect::<Vec<_>>()
+        };
+        let found = outside(&marking, &all, &views);
         assert!(found[last], "in the mask of the first camera, which does not show it");
         assert!(found[..last].iter().all(|outside| !outside), "the body itself");
-        assert!(!shown_outside(&marking, &all, &views[..1])[last], "nobody shows it: not judged");
+        assert!(!outside(&marking, &all, &views[..1])[last], "nobody shows it: not judged");
         let off = MarkingConfig { shown_share: 0.0, ..marking };
-        assert!(shown_outside(&off, &all, &views).iter().all(|outside| !outside));
-        assert!(
-            shown_outside(&marking, &body, &without_masks(views)).iter().any(|outside| *outside),
-            "no masks"
-        );
+        assert!(outside(&off, &all, &views).iter().all(|outside| !outside));
+        assert!(outside(&marking, &body, &without_masks(views)).iter().any(|outside| *outside), "no masks");
     }
 }

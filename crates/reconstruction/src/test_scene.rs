@@ -39,9 +39,14 @@ pub(crate) fn scene(moving: &Gaussians) -> Scene {
 
 /// Six cameras over half a circle, and what they see of `moving`.
 pub(crate) fn photographs(moving: &Gaussians) -> Vec<TrainingView> {
+    photographs_from(moving, 0.6)
+}
+
+/// The same from cameras at a height (m).
+pub(crate) fn photographs_from(moving: &Gaussians, height: f64) -> Vec<TrainingView> {
     let view = |i: usize| {
         let (sin, cos) = (i as f64 * 0.5).sin_cos();
-        let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, 0.6), DVec3::ZERO);
+        let pose = look_at(DVec3::new(5.0 * cos, 5.0 * sin, height), DVec3::ZERO);
         let intrinsics = Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
         let camera = Camera::new(intrinsics, pose, SIZE).unwrap();
         let shown = View { camera: &camera, background: Background::Colour(GREY), tiles: None };

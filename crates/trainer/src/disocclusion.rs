@@ -21,6 +21,8 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisocclusionConfig {
+    /// Whether the surfaces around what moves are continued behind it in the first frame.
+    pub continued: bool,
     /// Frames from one round to the next. A stream sends the static layer again after each.
     pub every: usize,
     /// Steps per round, one view each; 0 = the static layer keeps its shape.
@@ -44,6 +46,7 @@ pub struct DisocclusionConfig {
 impl Default for DisocclusionConfig {
     fn default() -> Self {
         Self {
+            continued: true,
             every: 4,
             iterations: 120,
             rounds: 2,

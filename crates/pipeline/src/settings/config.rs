@@ -114,7 +114,7 @@ impl Config {
         Self {
             first_frame: FirstFrameConfig { exposures: false, ..defaults.first_frame },
             birth: BirthConfig { iterations: 0, ..defaults.birth },
-            disocclusion: DisocclusionConfig { iterations: 0, ..defaults.disocclusion },
+            disocclusion: DisocclusionConfig { continued: false, iterations: 0, ..defaults.disocclusion },
             resolution: ResolutionConfig { splat_px: 0.0, static_splat_px: 0.0 },
             dynamic: DynamicLaneConfig {
                 iterations: 300,

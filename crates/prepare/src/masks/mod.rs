@@ -3,7 +3,6 @@
 mod background;
 mod change;
 mod colours;
-mod connected;
 mod contact_sheet;
 mod continuation;
 mod cut;

@@ -1,7 +1,6 @@
 //! Connected regions of masks.
 
-use super::connected::connected;
-use ffgs_core::{ImageSize, Mask};
+use ffgs_core::{ImageSize, Mask, connected};
 
 /// The surroundings of a mask reach as far as this share of the image's diagonal.
 const REACH: f64 = 0.05;

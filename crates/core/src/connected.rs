@@ -2,7 +2,7 @@
 
 /// The place `start` and all that are connected with it, each to one that it lies beside (4-neighbours) and that it `joins`. Marks them as
 /// `seen`; places that were seen before do not belong to it.
-pub(crate) fn connected(
+pub fn connected(
     start: usize,
     columns: usize,
     seen: &mut [bool],
