@@ -29,6 +29,7 @@ mod sky;
 mod stops;
 #[cfg(test)]
 mod test_scene;
+mod veils;
 
 pub use config::ReconstructionConfig;
 pub use devices::Devices;
@@ -36,3 +37,4 @@ pub use exposures::Exposures;
 pub use first_training::{Earlier, FirstViews};
 pub use monitor::{Monitor, Report, Silent};
 pub use reconstructor::{Reconstructor, State};
+pub use veils::unveiled;

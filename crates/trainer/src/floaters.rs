@@ -16,7 +16,8 @@ const VIEWS: usize = 64;
 
 /// Which Gaussians of `layer` float, (N): those less opaque than `opaque` where the views show, on average, something much farther away.
 pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -> Vec<bool> {
-    let behind = behind(layer, views);
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    let behind = depths_behind(layer, &cameras);
     let faint = |i: usize| sigmoid(layer.opacity_logits[i]) < opaque;
     let floats: Vec<bool> = (0..layer.len()).map(|i| faint(i) && behind[i] > FAR_BEHIND).collect();
     tracing::debug!("{} of {} Gaussians float", floats.iter().filter(|&&f| f).count(), layer.len());
@@ -24,14 +25,14 @@ pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -
 }
 
 /// Natural logarithm of the depth that a pixel shows over the depth of the Gaussian: its mean over the pixels to which the Gaussian contributes,
-/// weighted by how much it contributes, (N). 0 where no view shows the Gaussian in front of something else than the sky.
-fn behind(layer: &Gaussians, views: &[TrainingView]) -> Vec<f32> {
+/// weighted by how much it contributes, (N). 0 where no camera shows the Gaussian in front of something else than the sky.
+pub fn depths_behind(layer: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
     let rasterizer = CpuRasterizer::default();
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
     let (mut farther, mut weights) = (vec![0.0_f32; layer.len()], vec![0.0_f32; layer.len()]);
     let mut painted = uncoloured(layer);
-    for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
-        let camera = reduced(&view.camera);
+    for camera in cameras.iter().step_by(cameras.len().div_ceil(VIEWS).max(1)) {
+        let camera = reduced(camera);
         let frame = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
         let depths = log_depths(layer, &camera);
         painted.sh.iter_mut().zip(&depths).for_each(|(sh, depth)| *sh = [(depth - 0.5) / SH_C0; 3]);

@@ -44,11 +44,12 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
         _ => bail!("choose one view: --camera NAME for a camera of the capture, or --orbit for a circle"),
     };
     let out = args.out.clone().map_or_else(|| RunFolder(args.run.clone()).inside(&["renders"]), Ok)?;
+    let trained = run.trained_cameras(frame)?;
     let gpus = args.device.open()?;
     let bar = progress(args.log.quiet, "views", views.len());
     for group in views.chunks(VIEWS_AT_ONCE) {
         let cameras: Vec<Camera> = group.iter().map(|(_, camera, _)| *camera).collect();
-        let mut pictures = render_scene(&scene, &cameras, Devices(&gpus))?;
+        let mut pictures = render_scene(&scene, &cameras, &trained, Devices(&gpus))?;
         for ((name, _, exposure), picture) in group.iter().zip(&mut pictures) {
             exposure.apply(picture);
             write_png(&out.join(name), &ImageRgb8::from(&*picture))?;

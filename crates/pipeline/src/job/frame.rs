@@ -2,7 +2,7 @@
 
 use crate::job::provenance::{Checksum, load_with_checksum};
 use anyhow::Result;
-use ffgs_core::TrainingView;
+use ffgs_core::{Camera, TrainingView};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_reconstruction::FirstViews;
 use rayon::prelude::*;
@@ -63,6 +63,15 @@ pub(crate) fn init_views(capture: &dyn Capture, frame: usize) -> Vec<ViewAt> {
 
 fn all_of(capture: &dyn Capture, split: Split, frame: usize) -> Vec<ViewAt> {
     (0..capture.views(split).len()).map(|view| ViewAt { split, view, frame }).collect()
+}
+
+/// Cameras of the training views `views` (by index) of a frame, and of the views that only frame 0 has.
+///
+/// # Errors
+/// When one of them cannot be read.
+pub(crate) fn trained_cameras(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<Camera>> {
+    let views = [training_views(views, frame), init_views(capture, 0)].concat();
+    views.into_iter().map(|at| Ok(capture.camera(at)?)).collect()
 }
 
 /// Photographs of a first frame: those of the training views `views` (by index), and those that only frame 0 has.

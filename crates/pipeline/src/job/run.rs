@@ -4,7 +4,9 @@
 use crate::cli::console::Console;
 use crate::commands::check::check_capture;
 use crate::job::device;
-use crate::job::frame::{first_views_and_checksums, init_views, select_views, test_views, training_views};
+use crate::job::frame::{
+    first_views_and_checksums, init_views, select_views, test_views, trained_cameras, training_views,
+};
 use crate::job::lock::FolderLock;
 use crate::job::manifest::Manifest;
 use crate::job::memory;
@@ -29,7 +31,7 @@ use crate::plugins::method::MethodContext;
 use crate::plugins::registry::open_capture;
 use crate::settings::config::Config;
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Dynamic, ImageRgb8, Scene, TrainingView, stage, write_atomically};
+use ffgs_core::{Camera, Dynamic, ImageRgb8, Scene, TrainingView, stage, write_atomically};
 use ffgs_dataset::ImageCheck;
 use ffgs_method::{Capture, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
@@ -358,8 +360,12 @@ impl<'a> Job<'a> {
         let start = Instant::now();
         let pictures = self.motion_pictures(step.frame, &scene.dynamic, step.now)?;
         let (tests, sums) = load_tests(&*self.capture, exposures, step.frame)?;
-        let initial_mpsnr = mean_mpsnr(scene, &tests, self.devices())?;
+        let initial_mpsnr = mean_mpsnr(scene, &tests, &self.trained_cameras(step.frame)?, self.devices())?;
         Ok(Measured { tests, sums, pictures, initial_mpsnr, seconds: start.elapsed().as_secs_f64() })
+    }
+
+    fn trained_cameras(&self, frame: usize) -> Result<Vec<Camera>> {
+        trained_cameras(&*self.capture, &self.views, frame)
     }
 
     /// Motion and uncertainty over the photograph that shows most of the foreground.
@@ -402,7 +408,8 @@ impl<'a> Job<'a> {
         record.initial_mpsnr = initial_mpsnr;
         let folder = self.folder.frame(frame);
         let splats = write_splats(&folder, scene)?;
-        (record.views, pictures.views) = score(&*self.capture, scene, &tests, &folder, self.devices())?;
+        (record.views, pictures.views) =
+            score(&*self.capture, scene, (&tests, &self.trained_cameras(frame)?), &folder, self.devices())?;
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();

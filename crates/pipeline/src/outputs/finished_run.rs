@@ -1,5 +1,6 @@
 //! A run that has finished frames, to be read.
 
+use crate::job::frame::{select_views, trained_cameras};
 use crate::job::manifest::Manifest;
 use crate::outputs::exposure_files::read_exposures;
 use crate::outputs::folder::RunFolder;
@@ -8,7 +9,7 @@ use crate::outputs::record::FrameRecord;
 use crate::outputs::state;
 use crate::plugins::registry::open_capture;
 use anyhow::{Result, bail};
-use ffgs_core::Scene;
+use ffgs_core::{Camera, Scene};
 use ffgs_method::Capture;
 use ffgs_reconstruction::Exposures;
 use std::path::Path;
@@ -76,6 +77,16 @@ impl FinishedRun {
     /// When their file is damaged.
     pub fn exposures(&self, frame: usize) -> Result<Exposures> {
         read_exposures(&self.folder, frame)
+    }
+
+    /// The cameras that a frame was trained on, and those of the initialisation views: only frame 0 has their photographs, but every frame can be
+    /// looked at from there.
+    ///
+    /// # Errors
+    /// When one of them is not in the capture any more.
+    pub fn trained_cameras(&self, frame: usize) -> Result<Vec<Camera>> {
+        let views = select_views(&*self.capture, self.manifest.train_views.as_deref())?;
+        trained_cameras(&*self.capture, &views, frame)
     }
 
     /// Reads the scene of a frame.

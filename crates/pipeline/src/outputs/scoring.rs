@@ -7,15 +7,25 @@ use anyhow::{Context, Result};
 use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_metrics::{SsimMap, mpsnr, psnr};
-use ffgs_reconstruction::Devices;
-use ffgs_reconstruction::Exposures;
+use ffgs_reconstruction::{Devices, Exposures, unveiled};
 use ffgs_report::Thumbnails;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Depth-sorted renders of all layers over the sky.
-pub(crate) fn render(scene: &Scene, cameras: &[Camera], devices: Devices) -> Result<Vec<PlanarImage>> {
-    devices.render(scene, cameras)
+/// Depth-sorted renders of all layers over the sky, without what veils them: `trained` are the cameras of the training views.
+pub(crate) fn render(
+    scene: &Scene,
+    cameras: &[Camera],
+    trained: &[Camera],
+    devices: Devices,
+) -> Result<Vec<PlanarImage>> {
+    let mut pictures = devices.render(scene, cameras)?;
+    for (picture, camera) in pictures.iter_mut().zip(cameras) {
+        if let Some(scene) = unveiled(scene, camera, trained) {
+            *picture = devices.render(&scene, &[*camera])?.swap_remove(0);
+        }
+    }
+    Ok(pictures)
 }
 
 /// Writes a PNG through a temporary file.
@@ -66,33 +76,44 @@ pub(crate) fn load_tests(
 }
 
 /// The test views as their cameras would show the scene.
-fn render_tests(scene: &Scene, tests: &[&TestView], devices: Devices) -> Result<Vec<PlanarImage>> {
+fn render_tests(
+    scene: &Scene,
+    tests: &[&TestView],
+    trained: &[Camera],
+    devices: Devices,
+) -> Result<Vec<PlanarImage>> {
     let cameras: Vec<Camera> = tests.iter().map(|test| test.truth.camera).collect();
-    let mut rendered = render(scene, &cameras, devices)?;
+    let mut rendered = render(scene, &cameras, trained, devices)?;
     rendered.iter_mut().zip(tests).for_each(|(image, test)| test.exposure.apply(image));
     Ok(rendered)
 }
 
 /// Mean foreground PSNR (dB) over the test views, without pictures; `None` where nothing is in the foreground.
-pub(crate) fn mean_mpsnr(scene: &Scene, tests: &[TestView], devices: Devices) -> Result<Option<f64>> {
+pub(crate) fn mean_mpsnr(
+    scene: &Scene,
+    tests: &[TestView],
+    trained: &[Camera],
+    devices: Devices,
+) -> Result<Option<f64>> {
     let tests: Vec<&TestView> = tests.iter().filter(|test| test.truth.mask.count() > 0).collect();
     let mut values = Vec::new();
-    for (TestView { truth, .. }, rendered) in tests.iter().zip(render_tests(scene, &tests, devices)?) {
+    let rendered = render_tests(scene, &tests, trained, devices)?;
+    for (TestView { truth, .. }, rendered) in tests.iter().zip(rendered) {
         values.extend(mpsnr(&rendered, &truth.image, &truth.mask)?);
     }
     Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
 }
 
-/// Renders the test views into `folder/test/CAMERA.png` and measures them. Returns the metrics and, for the
+/// Renders the test views into `folder/test/CAMERA.png` and measures them; `trained` are the cameras of the training views. Returns the metrics and, for the
 /// report, ground truth, render and error of each view.
 pub(crate) fn score(
     capture: &dyn Capture,
     scene: &Scene,
-    tests: &[TestView],
+    (tests, trained): (&[TestView], &[Camera]),
     folder: &Path,
     devices: Devices,
 ) -> Result<(Vec<ViewMetrics>, Vec<[String; 3]>)> {
-    let rendered = render_tests(scene, &tests.iter().collect::<Vec<_>>(), devices)?;
+    let rendered = render_tests(scene, &tests.iter().collect::<Vec<_>>(), trained, devices)?;
     let thumbnails = thumbnails(capture);
     let score = |(v, (TestView { truth, .. }, rendered)): (usize, (&TestView, PlanarImage))| {
         let name = &capture.views(Split::Test)[v];

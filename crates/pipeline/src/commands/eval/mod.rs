@@ -62,8 +62,13 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
         let scene = run.scene(frame)?;
         let file = folder.pictures(frame);
         let mut pictures = if file.exists() { read_json(&file)? } else { FramePictures::default() };
-        (record.views, pictures.views) =
-            score(capture, &scene, &tests, &folder.frame(frame), Devices(&gpus))?;
+        (record.views, pictures.views) = score(
+            capture,
+            &scene,
+            (&tests, &run.trained_cameras(frame)?),
+            &folder.frame(frame),
+            Devices(&gpus),
+        )?;
         write_json(&file, &pictures)?;
         records.push(record);
         bar.inc(1);

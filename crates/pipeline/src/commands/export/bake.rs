@@ -1,10 +1,9 @@
 //! Frames of a run fitted to plain viewers: what stands still once, the rest in each frame.
 
-use crate::job::frame::{init_views, select_views, training_views};
 use crate::outputs::finished_run::FinishedRun;
 use anyhow::Result;
 use ffgs_bake::{FitConfig, conserve_weight, fit};
-use ffgs_core::{Camera, Gaussians, PixelFilter, Scene};
+use ffgs_core::{Gaussians, PixelFilter, Scene};
 use ffgs_trainer::{CpuBackend, Progress};
 use std::collections::HashMap;
 
@@ -80,7 +79,7 @@ impl<'a> Baker<'a> {
         scene: &Scene,
         frame: usize,
     ) -> Result<()> {
-        let cameras = self.cameras(frame)?;
+        let cameras = self.run.trained_cameras(frame)?;
         conserve_weight(baked, trained, first..trained.len(), &cameras);
         let iterations = if first == 0 { self.iterations } else { self.iterations / LATER_SHARE };
         let config = FitConfig { iterations, seed: frame as u64, ..FitConfig::default() };
@@ -88,15 +87,6 @@ impl<'a> Baker<'a> {
             |p: Progress| (self.show)(format!("frame {frame}: step {} of {}", p.iteration, p.iterations));
         let Ok(()) = fit(&CpuBackend, baked, first, scene, &cameras, &config, &mut report);
         Ok(())
-    }
-
-    /// Those of the training views of a frame, and of the initialisation views: only frame 0 has their photographs, but every frame can
-    /// be looked at from there.
-    fn cameras(&self, frame: usize) -> Result<Vec<Camera>> {
-        let capture = &*self.run.capture;
-        let selected = select_views(capture, self.run.manifest.train_views.as_deref())?;
-        let views = [training_views(&selected, frame), init_views(capture, 0)].concat();
-        views.into_iter().map(|at| Ok(capture.camera(at)?)).collect()
     }
 }
 

@@ -1,0 +1,122 @@
+//! What veils a picture that is taken from where no camera stood (docs/adr/0094-what-was-seen-from-afar-is-no-veil.md).
+
+use ffgs_core::{Camera, Gaussians, Projection, Scene};
+use ffgs_trainer::depths_behind;
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// So many times as many pixels per length as in any training view: it is not known how a Gaussian looks from so near.
+const MAGNIFIED: f64 = 4.0;
+/// Natural logarithm of how many times farther than a veil lies what its pixels show: 1.28 times.
+const FAR_BEHIND: f32 = 0.25;
+/// Of the image of a training view, what it may show.
+const WIDENED: f64 = 1.3;
+
+/// `scene` without the static Gaussians that veil the picture of `camera`; `None` where none does. `trained` are the cameras of the training views.
+///
+/// A veil is nearer to the camera than the training views have seen it, by [`MAGNIFIED`] times in pixels per length, and before something that lies far behind it.
+/// A surface is not: what its pixels show is itself.
+pub fn unveiled(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Option<Scene> {
+    let near = magnified(&scene.static_layer, camera, trained);
+    if near.is_empty() {
+        return None;
+    }
+    let behind = depths_behind(&scene.joint(), &[*camera]);
+    let veils: Vec<u32> = near.into_iter().filter(|&i| behind[i as usize] > FAR_BEHIND).collect();
+    tracing::debug!("{} static Gaussians veil a picture", veils.len());
+    (!veils.is_empty()).then(|| Scene { static_layer: scene.without(&veils), ..scene.clone() })
+}
+
+/// Ascending indices of the Gaussians that `camera` would show from nearer than the training views.
+fn magnified(layer: &Gaussians, camera: &Camera, trained: &[Camera]) -> Vec<u32> {
+    let is_magnified = |mean: &[f32; 3]| {
+        let place = DVec3::from(mean.map(f64::from));
+        let least = pixels_per_length(camera, place) / MAGNIFIED;
+        camera.project(place).is_some()
+            && !trained.iter().any(|other| pixels_per_length(other, place) >= least && may_show(other, place))
+    };
+    let near = layer.means.par_iter().enumerate().filter(|(_, mean)| is_magnified(mean));
+    near.map(|(i, _)| i as u32).collect()
+}
+
+fn pixels_per_length(camera: &Camera, place: DVec3) -> f64 {
+    camera.intrinsics().focal() / camera.center().distance(place)
+}
+
+fn may_show(camera: &Camera, place: DVec3) -> bool {
+    let size = camera.size();
+    let half = DVec2::new(size.width as f64, size.height as f64) / 2.0;
+    camera
+        .project(place)
+        .is_some_and(|Projection { pixel, .. }| (pixel - half).abs().cmple(WIDENED * half).all())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ffgs_core::{Dynamic, ImageSize, Intrinsics, SkyCube};
+    use ffgs_testkit::look_at;
+    use ffgs_trainer::from_points;
+
+    const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
+
+    /// `distance` before the origin, where one looks at the wall behind it.
+    fn camera(distance: f64) -> Camera {
+        let pose = look_at(DVec3::new(distance, 0.0, 0.0), DVec3::new(-1.0, 0.0, 0.0));
+        Camera::new(Intrinsics { fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 }, pose, SIZE).unwrap()
+    }
+
+    /// A wall 4 m behind the origin, after discs of `spacing` at `places` (in the plane across the view).
+    fn scene(places: &[[f32; 2]], spacing: f32) -> Scene {
+        let wall = |i: usize| [-4.0, 0.2 * (i % 61) as f32 - 6.0, 0.2 * (i / 61) as f32 - 6.0];
+        let near = places.iter().map(|&[y, z]| [0.0, y, z]);
+        let means: Vec<[f32; 3]> = near.chain((0..61 * 61).map(wall)).collect();
+        let mut layer = from_points(&means, &vec![[0.4; 3]; means.len()], 0, 0.6);
+        layer.log_scales[..places.len()].fill([spacing.ln(), spacing.ln(), spacing.ln()]);
+        layer.log_scales[places.len()..].fill([0.2_f32.ln(); 3]);
+        Scene::new(layer, Dynamic::default(), SkyCube::filled(4, [0.2; 3]))
+    }
+
+    /// The static Gaussians that are not drawn.
+    fn left_out(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Vec<usize> {
+        let Some(found) = unveiled(scene, camera, trained) else { return Vec::new() };
+        let (before, after) = (&scene.static_layer.opacity_logits, &found.static_layer.opacity_logits);
+        assert_eq!(before.len(), after.len());
+        (0..before.len()).filter(|&i| after[i] < before[i]).collect()
+    }
+
+    #[test]
+    fn what_was_seen_from_afar_is_left_out_where_it_veils() {
+        let scene = scene(&[[0.0, 0.05]], 0.2);
+        let near = camera(0.5);
+        assert_eq!(left_out(&scene, &near, &[camera(8.0), camera(9.0)]), [0]);
+        assert_eq!(left_out(&scene, &near, &[camera(8.0), camera(1.0)]), [0; 0], "a view from twice as far");
+        assert_eq!(left_out(&scene, &near, &[near]), [0; 0], "a training view");
+        assert_eq!(left_out(&scene, &camera(-0.5), &[camera(8.0)]), [0; 0], "it is behind the camera");
+        let aside = Camera::new(
+            near.intrinsics(),
+            look_at(DVec3::new(1.0, 0.0, 0.0), DVec3::new(9.0, 0.0, 0.0)),
+            SIZE,
+        );
+        assert_eq!(left_out(&scene, &near, &[aside.unwrap()]), [0], "a view that looks elsewhere");
+        assert_eq!(left_out(&scene, &near, &[]), [0], "no view");
+    }
+
+    #[test]
+    fn a_surface_is_no_veil() {
+        let places: Vec<[f32; 2]> =
+            (0..41 * 41).map(|i| [0.05 * (i % 41) as f32 - 1.0, 0.05 * (i / 41) as f32 - 1.0]).collect();
+        let board = scene(&places, 0.05);
+        assert_eq!(left_out(&board, &camera(0.5), &[camera(8.0)]), [0; 0]);
+        let empty = Scene::new(Gaussians::zeros(0, 0), Dynamic::default(), SkyCube::filled(4, [0.2; 3]));
+        assert_eq!(left_out(&empty, &camera(0.5), &[camera(8.0)]), [0; 0]);
+    }
+
+    #[test]
+    fn places_that_are_no_numbers_are_no_veil() {
+        let mut scene = scene(&[[0.0, 0.0], [0.0, 0.1]], 0.2);
+        let layer = std::sync::Arc::make_mut(&mut scene.static_layer);
+        layer.means[0] = [f32::NAN; 3];
+        assert_eq!(left_out(&scene, &camera(0.5), &[camera(8.0)]), [1]);
+    }
+}
