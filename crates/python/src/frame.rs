@@ -134,7 +134,7 @@ impl Frame {
         Ok(out)
     }
 
-    /// Draws the frame as `ffgs render` does, but in the exposure that all cameras share: colours (H, W, 3) float32, sRGB in 0..1, and opacity (H, W) float32.
+    /// Draws the frame as `ffgs render` does, but with what veils the picture, and in the exposure that all cameras share: colours (H, W, 3) float32, sRGB in 0..1, and opacity (H, W) float32.
     ///
     /// `camera` is a dict as `Capture.camera` returns. Behind the Gaussians is the sky, or one colour where `background` is given.
     #[pyo3(signature = (camera, background=None))]
