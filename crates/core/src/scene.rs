@@ -52,6 +52,18 @@ impl Scene {
         layer
     }
 
+    /// Makes Gaussians transparent, by their indices in [`joint`](Self::joint).
+    pub fn make_transparent(&mut self, indices: &[usize]) {
+        let still = self.static_layer.len();
+        for &i in indices {
+            let logit = match i.checked_sub(still) {
+                None => &mut Arc::make_mut(&mut self.static_layer).opacity_logits[i],
+                Some(i) => &mut self.dynamic.gaussians.opacity_logits[i],
+            };
+            *logit = TRANSPARENT;
+        }
+    }
+
     /// Puts static Gaussians aside as they are in `layer`, until [`take_back`](Self::take_back): what stands in their places in the static layer is
     /// for this frame.
     pub fn put_aside(&mut self, indices: Vec<u32>, layer: &Gaussians) {

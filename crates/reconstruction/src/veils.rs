@@ -1,6 +1,6 @@
 //! What veils a picture that is taken from where no camera stood (docs/adr/0094-what-was-seen-from-afar-is-no-veil.md).
 
-use ffgs_core::{Camera, Gaussians, Projection, Scene};
+use ffgs_core::{Camera, Projection, Scene};
 use ffgs_trainer::depths_behind;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -12,31 +12,36 @@ const FAR_BEHIND: f32 = 0.25;
 /// Of the image of a training view, what it may show.
 const WIDENED: f64 = 1.3;
 
-/// `scene` without the static Gaussians that veil the picture of `camera`; `None` where none does. `trained` are the cameras of the training views.
+/// `scene` without the Gaussians that veil the picture of `camera`; `None` where none does. `trained` are the cameras of the training views.
 ///
 /// A veil is nearer to the camera than the training views have seen it, by [`MAGNIFIED`] times in pixels per length, and before something that lies far behind it.
 /// A surface is not: what its pixels show is itself.
 pub fn unveiled(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Option<Scene> {
-    let near = magnified(&scene.static_layer, camera, trained);
+    let near = magnified(scene, camera, trained);
     if near.is_empty() {
         return None;
     }
     let behind = depths_behind(&scene.joint(), &[*camera]);
-    let veils: Vec<u32> = near.into_iter().filter(|&i| behind[i as usize] > FAR_BEHIND).collect();
-    tracing::debug!("{} static Gaussians veil a picture", veils.len());
-    (!veils.is_empty()).then(|| Scene { static_layer: scene.without(&veils), ..scene.clone() })
+    let veils: Vec<usize> = near.into_iter().filter(|&i| behind[i] > FAR_BEHIND).collect();
+    tracing::debug!("{} Gaussians veil a picture", veils.len());
+    if veils.is_empty() {
+        return None;
+    }
+    let mut scene = scene.clone();
+    scene.make_transparent(&veils);
+    Some(scene)
 }
 
-/// Ascending indices of the Gaussians that `camera` would show from nearer than the training views.
-fn magnified(layer: &Gaussians, camera: &Camera, trained: &[Camera]) -> Vec<u32> {
+/// Ascending indices, in both layers joined, of the Gaussians that `camera` would show from nearer than the training views.
+fn magnified(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Vec<usize> {
     let is_magnified = |mean: &[f32; 3]| {
         let place = DVec3::from(mean.map(f64::from));
         let least = pixels_per_length(camera, place) / MAGNIFIED;
         camera.project(place).is_some()
             && !trained.iter().any(|other| pixels_per_length(other, place) >= least && may_show(other, place))
     };
-    let near = layer.means.par_iter().enumerate().filter(|(_, mean)| is_magnified(mean));
-    near.map(|(i, _)| i as u32).collect()
+    let means: Vec<&[f32; 3]> = scene.layers().into_iter().flat_map(|layer| &layer.means).collect();
+    (0..means.len()).into_par_iter().filter(|&i| is_magnified(means[i])).collect()
 }
 
 fn pixels_per_length(camera: &Camera, place: DVec3) -> f64 {
@@ -54,7 +59,7 @@ fn may_show(camera: &Camera, place: DVec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ffgs_core::{Dynamic, ImageSize, Intrinsics, SkyCube};
+    use ffgs_core::{Dynamic, Gaussians, ImageSize, Intrinsics, SkyCube};
     use ffgs_testkit::look_at;
     use ffgs_trainer::from_points;
 
@@ -77,10 +82,10 @@ mod tests {
         Scene::new(layer, Dynamic::default(), SkyCube::filled(4, [0.2; 3]))
     }
 
-    /// The static Gaussians that are not drawn.
+    /// The Gaussians that are not drawn.
     fn left_out(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Vec<usize> {
         let Some(found) = unveiled(scene, camera, trained) else { return Vec::new() };
-        let (before, after) = (&scene.static_layer.opacity_logits, &found.static_layer.opacity_logits);
+        let (before, after) = (scene.joint().opacity_logits, found.joint().opacity_logits);
         assert_eq!(before.len(), after.len());
         (0..before.len()).filter(|&i| after[i] < before[i]).collect()
     }
@@ -100,6 +105,20 @@ mod tests {
         );
         assert_eq!(left_out(&scene, &near, &[aside.unwrap()]), [0], "a view that looks elsewhere");
         assert_eq!(left_out(&scene, &near, &[]), [0], "no view");
+    }
+
+    #[test]
+    fn moving_gaussians_veil_as_well() {
+        let all = scene(&[[0.0, 0.05]], 0.2);
+        let layer = |from, to| all.static_layer.select(&(from..to).collect::<Vec<_>>());
+        let (near, wall) = (layer(0, 1), layer(1, all.static_layer.len()));
+        let last = wall.len();
+        let moving = |gaussians| Dynamic { gaussians, ..Dynamic::default() };
+        let mixed = Scene::new(wall.clone(), moving(near), all.sky.clone());
+        assert_eq!(left_out(&mixed, &camera(0.5), &[camera(8.0)]), [last]);
+        let one_layer =
+            Scene::new(Gaussians::zeros(0, 0), moving(Gaussians::clone(&all.static_layer)), all.sky.clone());
+        assert_eq!(left_out(&one_layer, &camera(0.5), &[camera(8.0)]), [0], "a method with one layer");
     }
 
     #[test]
