@@ -14,7 +14,7 @@ const WIDENED: f64 = 1.3;
 
 /// `scene` without the Gaussians that veil the picture of `camera`; `None` where none does. `trained` are the cameras of the training views.
 ///
-/// A veil is nearer to the camera than the training views have seen it, by [`MAGNIFIED`] times in pixels per length, and before something that lies far behind it.
+/// A veil has several times as many pixels per length as any training view has seen it with, and something lies far behind it.
 /// A surface is not: what its pixels show is itself.
 pub fn unveiled(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Option<Scene> {
     let near = magnified(scene, camera, trained);
