@@ -1,21 +1,22 @@
 //! What veils a picture that is taken from where no camera stood (docs/adr/0094-what-was-seen-from-afar-is-no-veil.md).
 
 use ffgs_core::{Camera, Projection, Scene};
+use ffgs_rasterizer::constants::FRUSTUM_MARGIN;
 use ffgs_trainer::depths_behind;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// So many times as many pixels per length as in any training view: it is not known how a Gaussian looks from so near.
+/// A veil has this many times the pixels per length (focal length over distance) that any training view has there: how it looks from so near is not known.
 const MAGNIFIED: f64 = 4.0;
-/// Natural logarithm of how many times farther than a veil lies what its pixels show: 1.28 times.
+/// What the pixels of a veil show lies 1.28 times as far away as the veil; the natural logarithm.
 const FAR_BEHIND: f32 = 0.25;
-/// Of the image of a training view, what it may show.
-const WIDENED: f64 = 1.3;
+/// A training view may show what lies in its image, widened by this factor.
+const WIDENED: f64 = 1.0 + FRUSTUM_MARGIN as f64;
 
 /// `scene` without the Gaussians that veil the picture of `camera`; `None` where none does. `trained` are the cameras of the training views.
 ///
 /// A veil has several times as many pixels per length as any training view has seen it with, and something lies far behind it.
-/// A surface is not: what its pixels show is itself.
+/// A surface is no veil: its pixels show the surface itself.
 pub fn unveiled(scene: &Scene, camera: &Camera, trained: &[Camera]) -> Option<Scene> {
     let near = magnified(scene, camera, trained);
     if near.is_empty() {
