@@ -53,11 +53,16 @@ impl Media {
         names.iter().find_map(|name| self.named(name))
     }
 
-    /// As [`Self::of_camera`]; where no name fits, the only video in a folder of that name (`back/session_3.mp4`), or the only one
-    /// with that word in its name (`session_3-back.mp4`), which `assumed` tells.
+    /// As [`Self::of_camera`]; where no name fits, the only video or image folder whose name is spelt otherwise (`cam01` for `cam_1`), the only
+    /// video in a folder of that name (`back/session_3.mp4`), or the only one with that word in its name (`session_3-back.mp4`), which
+    /// `assumed` tells.
     pub fn likely_of_camera(&self, names: &[String], assumed: &mut Vec<String>) -> Option<Pictures> {
         if let Some(pictures) = self.of_camera(names) {
             assumed.extend(self.told_of_several(names, &pictures));
+            return Some(pictures);
+        }
+        if let Some((path, pictures)) = names.iter().find_map(|name| self.spelt_otherwise(name)) {
+            assumed.push(format!("{} has the pictures of camera '{}'", path.display(), names[0]));
             return Some(pictures);
         }
         let in_folder =
@@ -85,6 +90,22 @@ impl Media {
                 names[0]
             )
         })
+    }
+
+    /// The only video or image folder that is called `name`, which is no number, but for separators and leading zeros.
+    fn spelt_otherwise(&self, name: &str) -> Option<(&Path, Pictures)> {
+        let is_it =
+            |called: &str| name.chars().any(char::is_alphabetic) && spelling(called) == spelling(name);
+        let videos = self.videos.iter().filter(|video| is_it(&stem(video)));
+        let videos = videos.map(|video| (video.as_path(), Pictures::Video(video.clone())));
+        let folders = self
+            .folders
+            .iter()
+            .filter(|(path, _)| path.file_name().is_some_and(|n| is_it(&n.to_string_lossy())));
+        let folders = folders.map(|(path, files)| (path.as_path(), Pictures::Files(files.clone())));
+        let mut found = videos.chain(folders);
+        let first = found.next()?;
+        found.next().is_none().then_some(first)
     }
 
     fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<&PathBuf> {
@@ -178,6 +199,11 @@ fn has_words(text: &str, name: &str) -> bool {
     name.chars().any(char::is_alphabetic) && text.windows(name_words.len()).any(|run| run == name_words)
 }
 
+/// A name in lower case without separators, as runs of letters and numbers: `cam_01` and `Cam1` are spelt alike.
+fn spelling(name: &str) -> Vec<(bool, usize, String)> {
+    chunks(&name.to_lowercase().replace(|c: char| !c.is_alphanumeric(), ""))
+}
+
 fn is_named(path: &Path, name: &str) -> bool {
     path.file_name().is_some_and(|n| n.to_string_lossy().eq_ignore_ascii_case(name))
 }
@@ -263,6 +289,40 @@ mod tests {
         assert_eq!([of("A"), of("b")], [video(files[2]), video(files[3])]);
         assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
         assert!(assumed.len() == 3 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
+    }
+
+    /// Pose2Sim's calibrations call `cam_01` what its videos call `cam01`.
+    #[test]
+    fn a_name_may_be_spelt_otherwise() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = [
+            "videos/cam01.mp4",
+            "videos/Cam-2.mp4",
+            "images/camera_3/1.png",
+            "a/view4.mp4",
+            "b/view_04.mp4",
+            "7.mp4",
+        ];
+        for file in files {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        let media = Media::find(folder.path()).unwrap();
+        let mut assumed = Vec::new();
+        let mut of = |name: &str| media.likely_of_camera(&[name.to_owned()], &mut assumed);
+        let video = |file: &str| Some(Pictures::Video(folder.path().join(file)));
+        assert_eq!([of("cam_01"), of("cam02")], [video(files[0]), video(files[1])]);
+        assert_eq!(of("camera3"), Some(Pictures::Files(vec![folder.path().join(files[2])])));
+        assert_eq!(
+            [of("view.4"), of("cam_10"), of("07")],
+            [None, None, None],
+            "two, another number, no word"
+        );
+        assert!(
+            assumed.len() == 3 && assumed[0].ends_with("cam01.mp4 has the pictures of camera 'cam_01'"),
+            "{assumed:?}"
+        );
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! TOML of caliscope (`camera_array.toml`, `config.toml`) and aniposelib (`calibration.toml`): a table per camera
+//! TOML of caliscope (`camera_array.toml`, `config.toml`), aniposelib (`calibration.toml`) and Pose2Sim (`Calib_*.toml`): a table per camera
 //! with `matrix`, `distortions`, `size`, `rotation` (3x3 or a Rodrigues vector) and `translation`, world to camera.
 
 use super::{Format, checked, find_below, intrinsics, read_text, rigid, rodrigues, square, timestamps_near};
@@ -9,8 +9,12 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Reads caliscope's and aniposelib's camera lists.
-pub const FORMAT: Format =
-    Format { name: "toml", looks_for: "a .toml with camera matrices (caliscope, aniposelib)", find, read };
+pub const FORMAT: Format = Format {
+    name: "toml",
+    looks_for: "a .toml with camera matrices (caliscope, aniposelib, Pose2Sim)",
+    find,
+    read,
+};
 
 fn find(folder: &Path) -> Option<PathBuf> {
     find_below(folder, &|path| {
@@ -76,14 +80,14 @@ fn names(section: &str, camera: &Table) -> Vec<String> {
     let id = ids.first().cloned().unwrap_or_else(|| section.to_owned());
     let numeric = id.chars().all(|c| c.is_ascii_digit());
     let own = if numeric { format!("cam_{id}") } else { id.clone() };
-    let padded = format!("{id:0>2}");
-    let mut names = vec![own, id.clone(), section.to_owned(), format!("port_{id}"), format!("cam{id}")];
-    names.extend([
-        format!("cam{padded}"),
-        format!("cam_{padded}"),
-        format!("cam-{id}"),
-        format!("camera{id}"),
-    ]);
+    let mut names = vec![own, id.clone()];
+    // Not `camcam_01`.
+    if !id.to_lowercase().starts_with("cam") {
+        let padded = format!("{id:0>2}");
+        names.extend(["port_", "cam", "cam_", "cam-", "camera"].map(|word| format!("{word}{id}")));
+        names.extend(["cam", "cam_"].map(|word| format!("{word}{padded}")));
+    }
+    names.push(section.to_owned());
     names.dedup();
     names
 }
