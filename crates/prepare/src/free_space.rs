@@ -87,10 +87,14 @@ impl<'a> FreeSpace<'a> {
         points.into_par_iter().filter(is_kept).collect()
     }
 
-    /// The same, where a view that has another colour there denies a point, too: for points that were not found by comparing views.
+    /// The points that it [`allows`](Self::allows).
     pub(crate) fn keep_alike(&self, points: Vec<StereoPoint>) -> Vec<StereoPoint> {
-        let is_kept = |point: &StereoPoint| self.is_surface(|view| view.verdict_by_colour(point));
-        points.into_par_iter().filter(is_kept).collect()
+        points.into_par_iter().filter(|point| self.allows(point)).collect()
+    }
+
+    /// The same for a point that was not found by comparing views: one that has another colour there denies it, too.
+    pub(crate) fn allows(&self, point: &StereoPoint) -> bool {
+        self.is_surface(|view| view.verdict_by_colour(point))
     }
 
     fn is_surface(&self, verdict: impl Fn(&Depths) -> Verdict) -> bool {

@@ -16,6 +16,17 @@ pub(crate) struct Region {
     pub high: DVec3,
 }
 
+impl Region {
+    /// Multiple of `ray` (m) after which a line from `eye` has left the sphere of `radii` half sides about the middle, or is nearest to it.
+    pub(crate) fn exit(self, eye: DVec3, ray: DVec3, radii: f64) -> f64 {
+        let to_middle = (self.low + self.high) / 2.0 - eye;
+        let radius = radii * (self.high - self.low).x / 2.0;
+        let (along, square) = (to_middle.dot(ray), ray.length_squared());
+        let inside = along * along - square * (to_middle.length_squared() - radius * radius);
+        (along + inside.max(0.0).sqrt()) / square
+    }
+}
+
 /// A camera with what it saw.
 #[derive(Clone, Debug)]
 pub(crate) struct Silhouette {

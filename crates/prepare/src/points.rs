@@ -61,8 +61,7 @@ pub(crate) fn make(
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points, &matched.space);
     parts.finish(1);
-    let still =
-        matched.space.keep_alike(spread::background(&views, &matched.points, matched.ground.as_ref()));
+    let still = spread::background(&views, &matched.points, &matched.space, matched.ground.as_ref());
     let mut text = format!(
         "{}, {} in the visual hull, {} spread in depth",
         matched.account,

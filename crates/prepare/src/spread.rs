@@ -1,5 +1,6 @@
 //! Points where nothing was matched: pixels at depths that continue those of the matched points around them.
 
+use crate::free_space::FreeSpace;
 use crate::ground::Ground;
 use crate::hull::{Region, common_region};
 use crate::stereo::StereoPoint;
@@ -9,16 +10,25 @@ use crate::views::View;
 use ffgs_core::Camera;
 use glam::DVec2;
 use rayon::prelude::*;
+use std::iter::successors;
 
 /// Points of the background that are made at most, over all views, and of the foreground.
 const STILL: usize = 7_000;
 const MOVING: usize = 4_000;
 
+/// Radii of what the cameras look at, beyond which a sample is moved that other views look through: its own view shows something there, and they do
+/// not see where it is. Cameras stand about one radius from the middle, so a wall that one sees behind another is farther.
+const BEYOND: f64 = 1.5;
+/// Depths that are tried there: each by this factor behind the one before, none so many times as far as its surroundings say.
+const STEP: f64 = 1.05;
+const FARTHEST: f64 = 4.0;
+
 /// Pixels of every view, outside its mask, at depths that continue those of the matched points; where there are too few, at
-/// depths from a quarter to four times that of the scene.
+/// depths from a quarter to four times that of the scene. Those that other views look through stand farther back.
 pub(crate) fn background(
     views: &[View],
     matched: &[StereoPoint],
+    space: &FreeSpace,
     ground: Option<&Ground>,
 ) -> Vec<StereoPoint> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
@@ -26,7 +36,8 @@ pub(crate) fn background(
     let per_view = STILL.div_ceil(views.len());
     let of_view = |view: &View| {
         let surfaces = Surfaces::still(view, matched, ground);
-        (0..per_view).filter_map(|i| sample(view, i, surfaces.as_ref(), region)).collect::<Vec<_>>()
+        let samples = (0..per_view).filter_map(|i| sample(view, i, surfaces.as_ref(), region));
+        samples.filter_map(|point| behind_the_air(view, point, space, region)).collect::<Vec<_>>()
     };
     views.par_iter().map(of_view).collect::<Vec<_>>().concat()
 }
@@ -64,6 +75,25 @@ fn sample(view: &View, i: usize, surfaces: Option<&Surfaces>, region: Region) ->
     Some(StereoPoint { position: view.at_depth(pixel, depth), colour })
 }
 
+/// A sample where no majority of views denies it: at its own depth, or else at the first one beyond what the cameras look at. `None` where they
+/// deny it everywhere.
+fn behind_the_air(
+    view: &View,
+    sample: StereoPoint,
+    space: &FreeSpace,
+    region: Region,
+) -> Option<StereoPoint> {
+    if space.allows(&sample) {
+        return Some(sample);
+    }
+    let eye = view.camera.center();
+    let ray = sample.position - eye;
+    let nearest = region.exit(eye, ray, BEYOND).max(STEP);
+    let factors = successors(Some(nearest), |factor| Some(factor * STEP)).take_while(|&f| f < FARTHEST);
+    let moved = |factor: f64| StereoPoint { position: eye + ray * factor, ..sample };
+    factors.map(moved).find(|point| space.allows(point))
+}
+
 /// Halton's sequence in a base, from its 20th member on.
 pub(crate) fn halton(i: usize, base: usize) -> f64 {
     let (mut i, mut part, mut value) = (i + 20, 1.0, 0.0);
@@ -73,4 +103,55 @@ pub(crate) fn halton(i: usize, base: usize) -> f64 {
         i /= base;
     }
     value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::free_space;
+    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask};
+    use glam::{DMat4, DVec3};
+
+    const SIZE: ImageSize = ImageSize { width: 60, height: 40 };
+
+    /// Five cameras side by side; they look at a wall at 6 m.
+    fn views() -> Vec<View> {
+        let view = |i: i32| {
+            let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 30.0, cy: 20.0 };
+            let pose = DMat4::from_translation(DVec3::new(0.6 - 0.3 * f64::from(i), 0.0, 0.0));
+            View {
+                camera: Camera::new(intrinsics, pose, SIZE).unwrap(),
+                image: ImageRgb8::new(SIZE, vec![128; 3 * SIZE.pixels()]).unwrap(),
+                mask: Some(Mask::filled(SIZE, false)),
+            }
+        };
+        (0..5).map(view).collect()
+    }
+
+    fn grey(position: DVec3) -> StereoPoint {
+        StereoPoint { position, colour: [0.5; 3] }
+    }
+
+    #[test]
+    fn what_others_look_through_stands_behind_what_they_see() {
+        let views = views();
+        let wall = (0..1600)
+            .map(|i| grey(DVec3::new(f64::from(i % 40) / 4.0 - 5.0, f64::from(i / 40) / 8.0 - 2.5, 6.0)))
+            .collect();
+        let (_, space) = free_space::consistent(&views, &[], wall, None);
+        let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+        let region = common_region(&cameras);
+        let (middle, radius) = ((region.low + region.high) / 2.0, (region.high - region.low).x / 2.0);
+        // In the middle of the last view, 0.6 m to the right.
+        let depth = |z: f64| {
+            let sample = grey(DVec3::new(0.6, 0.0, z));
+            behind_the_air(&views[4], sample, &space, region).map(|p| (p.position.z, p.position))
+        };
+        assert_eq!(depth(6.0).map(|d| d.0), Some(6.0), "on the wall");
+        let (moved, place) = depth(3.0).unwrap();
+        assert!(moved > 6.0 && moved < 12.0, "{moved}");
+        assert!((place.distance(middle) / radius - BEYOND).abs() < 1e-9, "{place} is not at the sphere");
+        assert_eq!(depth(1.5), None, "the sphere is five times as far");
+        assert_eq!((place.x, place.y), (0.6, 0.0), "along its ray");
+    }
 }
