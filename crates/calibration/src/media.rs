@@ -235,6 +235,19 @@ fn chunks(text: &str) -> Vec<(bool, usize, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tempfile::TempDir;
+
+    /// A folder of empty files, and what is found in it.
+    fn laid_out(files: &[&str]) -> (TempDir, Media) {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        let media = Media::find(folder.path()).unwrap();
+        (folder, media)
+    }
 
     #[test]
     fn numbers_order_by_value() {
@@ -246,15 +259,13 @@ mod tests {
 
     #[test]
     fn a_camera_is_found_by_any_of_its_names() {
-        let folder = tempfile::tempdir().unwrap();
-        for file in
-            ["videos/cam_1.mp4", "deep/er/CAM_1.mp4", "images/03/1.png", "masks/04/1.png", ".x/cam_5.mp4"]
-        {
-            let path = folder.path().join(file);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, "").unwrap();
-        }
-        let media = Media::find(folder.path()).unwrap();
+        let (folder, media) = laid_out(&[
+            "videos/cam_1.mp4",
+            "deep/er/CAM_1.mp4",
+            "images/03/1.png",
+            "masks/04/1.png",
+            ".x/cam_5.mp4",
+        ]);
         let of = |names: &[&str]| media.of_camera(&names.iter().map(ToString::to_string).collect::<Vec<_>>());
         assert_eq!(of(&["1", "cam_1"]), Some(Pictures::Video(folder.path().join("videos/cam_1.mp4"))));
         assert_eq!(of(&["03"]), Some(Pictures::Files(vec![folder.path().join("images/03/1.png")])));
@@ -264,7 +275,6 @@ mod tests {
     /// The layouts of SLEAP's and Anipose's sessions.
     #[test]
     fn a_video_is_found_by_its_folder_or_by_a_word_of_its_name() {
-        let folder = tempfile::tempdir().unwrap();
         let files = [
             "back/trial.mp4",
             "back/boards/trial-back.mp4",
@@ -273,12 +283,7 @@ mod tests {
             "one-C.mp4",
             "two-C.mp4",
         ];
-        for file in files {
-            let path = folder.path().join(file);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, "").unwrap();
-        }
-        let media = Media::find(folder.path()).unwrap();
+        let (folder, media) = laid_out(&files);
         let mut assumed = Vec::new();
         let mut of = |name: &str| {
             let names = [name.to_owned(), format!("cam{name}"), format!("cam_{name}")];
@@ -294,7 +299,6 @@ mod tests {
     /// Pose2Sim's calibrations call `cam_01` what its videos call `cam01`.
     #[test]
     fn a_name_may_be_spelt_otherwise() {
-        let folder = tempfile::tempdir().unwrap();
         let files = [
             "videos/cam01.mp4",
             "videos/Cam-2.mp4",
@@ -303,12 +307,7 @@ mod tests {
             "b/view_04.mp4",
             "7.mp4",
         ];
-        for file in files {
-            let path = folder.path().join(file);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, "").unwrap();
-        }
-        let media = Media::find(folder.path()).unwrap();
+        let (folder, media) = laid_out(&files);
         let mut assumed = Vec::new();
         let mut of = |name: &str| media.likely_of_camera(&[name.to_owned()], &mut assumed);
         let video = |file: &str| Some(Pictures::Video(folder.path().join(file)));
@@ -327,13 +326,8 @@ mod tests {
 
     #[test]
     fn one_of_several_videos_of_a_camera_is_told() {
-        let folder = tempfile::tempdir().unwrap();
-        for file in ["calibration/port_1.mp4", "recordings/trial/port_1.mp4", "port_2.mp4"] {
-            let path = folder.path().join(file);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, "").unwrap();
-        }
-        let media = Media::find(folder.path()).unwrap();
+        let (_folder, media) =
+            laid_out(&["calibration/port_1.mp4", "recordings/trial/port_1.mp4", "port_2.mp4"]);
         let mut assumed = Vec::new();
         for name in ["port_1", "port_2"] {
             assert!(media.likely_of_camera(&[name.to_owned()], &mut assumed).is_some());

@@ -171,7 +171,7 @@ fn around([x, y]: [usize; 2], [columns, rows]: [usize; 2]) -> impl Iterator<Item
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use ffgs_core::{Camera, ImageRgb8, ImageSize, Intrinsics, Mask};
     use glam::DMat4;
@@ -179,7 +179,7 @@ mod tests {
     const SIZE: ImageSize = ImageSize { width: 60, height: 40 };
     const GREY: [f32; 3] = [0.5; 3];
     /// Depth of a wall (m) before cameras side by side.
-    const WALL: f64 = 6.0;
+    pub(crate) const WALL: f64 = 6.0;
 
     fn view(x: f64) -> View {
         let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 30.0, cy: 20.0 };
@@ -191,15 +191,15 @@ mod tests {
         }
     }
 
-    fn views() -> Vec<View> {
+    pub(crate) fn views() -> Vec<View> {
         (0..5).map(|i| view(0.3 * f64::from(i) - 0.6)).collect()
     }
 
-    fn point(x: f64, y: f64, z: f64) -> StereoPoint {
+    pub(crate) fn point(x: f64, y: f64, z: f64) -> StereoPoint {
         StereoPoint { position: DVec3::new(x, y, z), colour: GREY }
     }
 
-    fn wall() -> Vec<StereoPoint> {
+    pub(crate) fn wall() -> Vec<StereoPoint> {
         (0..1600).map(|i| point(f64::from(i % 40) / 4.0 - 5.0, f64::from(i / 40) / 8.0 - 2.5, WALL)).collect()
     }
 

@@ -109,47 +109,23 @@ pub(crate) fn halton(i: usize, base: usize) -> f64 {
 mod tests {
     use super::*;
     use crate::free_space;
-    use ffgs_core::{ImageRgb8, ImageSize, Intrinsics, Mask};
-    use glam::{DMat4, DVec3};
-
-    const SIZE: ImageSize = ImageSize { width: 60, height: 40 };
-
-    /// Five cameras side by side; they look at a wall at 6 m.
-    fn views() -> Vec<View> {
-        let view = |i: i32| {
-            let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 30.0, cy: 20.0 };
-            let pose = DMat4::from_translation(DVec3::new(0.6 - 0.3 * f64::from(i), 0.0, 0.0));
-            View {
-                camera: Camera::new(intrinsics, pose, SIZE).unwrap(),
-                image: ImageRgb8::new(SIZE, vec![128; 3 * SIZE.pixels()]).unwrap(),
-                mask: Some(Mask::filled(SIZE, false)),
-            }
-        };
-        (0..5).map(view).collect()
-    }
-
-    fn grey(position: DVec3) -> StereoPoint {
-        StereoPoint { position, colour: [0.5; 3] }
-    }
+    use crate::free_space::tests::{WALL, point, views, wall};
 
     #[test]
     fn what_others_look_through_stands_behind_what_they_see() {
         let views = views();
-        let wall = (0..1600)
-            .map(|i| grey(DVec3::new(f64::from(i % 40) / 4.0 - 5.0, f64::from(i / 40) / 8.0 - 2.5, 6.0)))
-            .collect();
-        let (_, space) = free_space::consistent(&views, &[], wall, None);
+        let (_, space) = free_space::consistent(&views, &[], wall(), None);
         let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
         let region = common_region(&cameras);
         let (middle, radius) = ((region.low + region.high) / 2.0, (region.high - region.low).x / 2.0);
         // In the middle of the last view, 0.6 m to the right.
         let depth = |z: f64| {
-            let sample = grey(DVec3::new(0.6, 0.0, z));
+            let sample = point(0.6, 0.0, z);
             behind_the_air(&views[4], sample, &space, region).map(|p| (p.position.z, p.position))
         };
-        assert_eq!(depth(6.0).map(|d| d.0), Some(6.0), "on the wall");
+        assert_eq!(depth(WALL).map(|d| d.0), Some(WALL), "on the wall");
         let (moved, place) = depth(3.0).unwrap();
-        assert!(moved > 6.0 && moved < 12.0, "{moved}");
+        assert!(moved > WALL && moved < 2.0 * WALL, "{moved}");
         assert!((place.distance(middle) / radius - BEYOND).abs() < 1e-9, "{place} is not at the sphere");
         assert_eq!(depth(1.5), None, "the sphere is five times as far");
         assert_eq!((place.x, place.y), (0.6, 0.0), "along its ray");
