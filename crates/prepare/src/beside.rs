@@ -1,30 +1,35 @@
 //! Pictures of a camera beside those of the capture: of its whole footage, and of the empty scene (clean plates).
 
-use crate::extraction::{Sequence, same_size};
+use crate::extraction::{Sequence, file_name, same_size};
 use crate::journal::absolute;
+use crate::pictures::{read_rgb, write_rgb};
+use crate::removal::remove;
 use crate::rig::{Rig, RigCamera};
 use crate::{PrepareError, Request, video};
 use ffgs_calibration::{CLEAN_PLATES, Media, Pictures};
 use ffgs_core::ImageRgb8;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Pictures that are read of a camera's footage, and of the empty scene, at most.
 const SAMPLES: usize = 16;
+/// Folder of the capture for pictures of the footage: to find them in videos again, for every round of masks, would take longer than all else.
+const KEPT: &str = "footage.part";
 
 /// What the cameras saw beside the capture's pictures.
 pub(crate) struct Beside<'a> {
     rig: &'a Rig,
     /// Pictures of the empty scene by camera.
     clean_plates: BTreeMap<String, Pictures>,
+    kept: PathBuf,
 }
 
 impl<'a> Beside<'a> {
-    /// Looks for the clean plates of all cameras in a folder, where there is one.
+    /// Looks for the clean plates of all cameras in a folder, where there is one. Pictures are kept in the folder `out`.
     ///
     /// # Errors
     /// When the folder cannot be read or has none.
-    pub(crate) fn new(rig: &'a Rig, folder: Option<&Path>) -> Result<Self, PrepareError> {
+    pub(crate) fn new(rig: &'a Rig, folder: Option<&Path>, out: &Path) -> Result<Self, PrepareError> {
         let mut clean_plates = BTreeMap::new();
         if let Some(folder) = folder {
             let media = Media::find(folder)?;
@@ -41,7 +46,17 @@ impl<'a> Beside<'a> {
                 return Err(PrepareError::CleanPlates { folder: folder.to_owned(), reason });
             }
         }
-        Ok(Self { rig, clean_plates })
+        let kept = out.join(KEPT);
+        remove(&kept)?;
+        Ok(Self { rig, clean_plates, kept })
+    }
+
+    /// Removes the pictures that were kept.
+    ///
+    /// # Errors
+    /// When they cannot be removed.
+    pub(crate) fn discard(self) -> Result<(), PrepareError> {
+        remove(&self.kept)
     }
 
     /// Whether the empty scene was filmed with a camera.
@@ -74,18 +89,34 @@ impl<'a> Beside<'a> {
     /// Pictures spread over the whole of a camera's footage, but for those of another size.
     ///
     /// # Errors
-    /// When one cannot be read.
+    /// When one cannot be read, or not be kept.
     pub(crate) fn footage(&self, camera: &str) -> Result<Vec<ImageRgb8>, PrepareError> {
-        let Some(camera) = self.camera(camera) else { return Ok(Vec::new()) };
-        let (count, rate) = (camera.sequence.pictures, camera.sequence.rate);
-        let found = Sequence { pictures: &camera.pictures, count, rate }.spread(SAMPLES)?;
-        let usable = found.into_iter().filter(|(_, p)| p.size() == camera.undistortion.source_size());
-        Ok(usable.map(|(_, picture)| camera.undistortion.apply(&picture).0).collect())
+        let file = |i: usize| self.kept.join(file_name(camera, i));
+        if self.kept.join(camera).is_dir() {
+            return (0..SAMPLES)
+                .map(file)
+                .take_while(|file| file.exists())
+                .map(|file| read_rgb(&file))
+                .collect();
+        }
+        let pictures = self.camera(camera).map_or(Ok(Vec::new()), spread)?;
+        for (i, picture) in pictures.iter().enumerate() {
+            write_rgb(&file(i), picture)?;
+        }
+        Ok(pictures)
     }
 
     fn camera(&self, name: &str) -> Option<&RigCamera> {
         self.rig.cameras.iter().find(|camera| camera.name == name)
     }
+}
+
+/// Pictures of a camera's footage, undistorted.
+fn spread(camera: &RigCamera) -> Result<Vec<ImageRgb8>, PrepareError> {
+    let (count, rate) = (camera.sequence.pictures, camera.sequence.rate);
+    let found = Sequence { pictures: &camera.pictures, count, rate }.spread(SAMPLES)?;
+    let usable = found.into_iter().filter(|(_, p)| p.size() == camera.undistortion.source_size());
+    Ok(usable.map(|(_, picture)| camera.undistortion.apply(&picture).0).collect())
 }
 
 /// Clean plates do not lie where they would be taken for footage.

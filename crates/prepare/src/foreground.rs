@@ -5,8 +5,10 @@
 //! different things meet. So it only fills what nothing more certain explains.
 
 use crate::free_space::FreeSpace;
-use crate::hull::{Hull, Silhouette, common_region, hull};
+use crate::hull::{Hull, hulls};
+use crate::region::common_region;
 use crate::rows::{Row, row};
+use crate::silhouettes::Silhouette;
 use crate::spread;
 use crate::stereo::StereoPoint;
 use crate::unexplained::Unexplained;
@@ -34,7 +36,7 @@ pub(crate) fn complete(views: &[View], matched: &[StereoPoint], space: &FreeSpac
     }
     let cameras: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
     let least = if silhouettes.len() > 2 { 3 } else { 2 };
-    let hull = hull(&silhouettes, common_region(&cameras), least);
+    let [hull] = hulls(&silhouettes, common_region(&cameras), [least]);
     let occupied: HashSet<IVec3> = hull.centres.iter().map(|c| hull.voxel(*c)).collect();
     let near = |p: DVec3| around(hull.voxel(p)).any(|voxel| occupied.contains(&voxel));
     let matched: Vec<StereoPoint> = matched.iter().filter(|p| near(p.position)).copied().collect();

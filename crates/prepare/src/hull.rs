@@ -1,38 +1,14 @@
 //! The visual hull: the voxels that nearly all masks contain.
 
+use crate::blocks::Blocks;
+use crate::region::Region;
+use crate::silhouettes::Silhouette;
 use ffgs_core::{Camera, Mask};
-use glam::{DVec3, IVec3};
+use glam::{DVec3, IVec3, UVec3};
 use rayon::prelude::*;
 
 /// Voxels along the longest side of the box.
 const SIDE: usize = 128;
-/// One view in so many may deny a voxel: masks have holes.
-const DENIALS_PER_VIEW: usize = 6;
-
-/// An axis-aligned box in the world (m).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Region {
-    pub low: DVec3,
-    pub high: DVec3,
-}
-
-impl Region {
-    /// Multiple of `ray` (m) after which a line from `eye` has left the sphere of `radii` half sides about the middle, or is nearest to it.
-    pub(crate) fn exit(self, eye: DVec3, ray: DVec3, radii: f64) -> f64 {
-        let to_middle = (self.low + self.high) / 2.0 - eye;
-        let radius = radii * (self.high - self.low).x / 2.0;
-        let (along, square) = (to_middle.dot(ray), ray.length_squared());
-        let inside = along * along - square * (to_middle.length_squared() - radius * radius);
-        (along + inside.max(0.0).sqrt()) / square
-    }
-}
-
-/// A camera with what it saw.
-#[derive(Clone, Debug)]
-pub(crate) struct Silhouette {
-    pub camera: Camera,
-    pub mask: Mask,
-}
 
 /// Occupied voxels.
 #[derive(Clone, Debug)]
@@ -47,27 +23,32 @@ pub(crate) struct Hull {
     origin: DVec3,
 }
 
-/// Voxels of the region that at least `least_views` cameras see and nearly all of those hold for foreground. The
+/// For each of `least_views`, the voxels of the region that at least so many cameras see and nearly all of those hold for foreground. The
 /// region is cut down to what is occupied and divided anew once, so that a small thing in a large room gets all voxels.
-pub(crate) fn hull(silhouettes: &[Silhouette], region: Region, least_views: usize) -> Hull {
-    let coarse = carve(silhouettes, region, least_views);
-    match bounds(&coarse) {
-        Some(inner) => carve(silhouettes, inner, least_views),
-        None => coarse,
-    }
+pub(crate) fn hulls<const N: usize>(
+    silhouettes: &[Silhouette],
+    region: Region,
+    least_views: [usize; N],
+) -> [Hull; N] {
+    let coarse = carve(silhouettes, region, least_views.into_iter().min().unwrap_or(0));
+    least_views.map(|least| carve(silhouettes, bounds(&coarse, least).unwrap_or(region), least))
 }
 
 fn carve(silhouettes: &[Silhouette], Region { low, high }: Region, least_views: usize) -> Hull {
     let extent = high - low;
     let side = extent.max_element() / SIDE as f64;
-    let counts = (extent / side).ceil().as_uvec3().max(glam::UVec3::ONE);
+    let counts = (extent / side).ceil().as_uvec3().max(UVec3::ONE);
     // A voxel counts for a view when any of the pixels that it covers does.
     let grown: Vec<Silhouette> = silhouettes.par_iter().map(|s| grown(s, side, (low + high) / 2.0)).collect();
+    let centre = |voxel: UVec3| low + (voxel.as_dvec3() + 0.5) * side;
+    let blocks = Blocks::new(&grown, counts, centre);
     let slab = |z: u32| {
-        let voxels =
-            (0..counts.y).flat_map(|y| (0..counts.x).map(move |x| DVec3::new(x.into(), y.into(), z.into())));
-        let centres = voxels.map(|v| low + (v + 0.5) * side);
-        centres.filter_map(|c| Some((c, occupied(&grown, c, least_views)?))).collect::<Vec<_>>()
+        let voxels = (0..counts.y).flat_map(|y| (0..counts.x).map(move |x| UVec3::new(x, y, z)));
+        let occupied = |voxel: UVec3| {
+            let views = blocks.views_of(voxel, centre(voxel)).filter(|views| *views >= least_views)?;
+            Some((centre(voxel), views as u16))
+        };
+        voxels.filter_map(occupied).collect::<Vec<_>>()
     };
     let slabs: Vec<Vec<(DVec3, u16)>> = (0..counts.z).into_par_iter().map(slab).collect();
     let (centres, views) = slabs.into_iter().flatten().unzip();
@@ -80,21 +61,11 @@ fn grown(s: &Silhouette, side: f64, middle: DVec3) -> Silhouette {
     Silhouette { camera: s.camera, mask: s.mask.dilated(radius.ceil().clamp(0.0, 64.0) as usize) }
 }
 
-/// How many views see an occupied voxel; `None` for one that is not.
-fn occupied(silhouettes: &[Silhouette], centre: DVec3, least_views: usize) -> Option<u16> {
-    let (seen, inside) = views_of(silhouettes, centre);
-    (seen >= least_views && inside + seen / DENIALS_PER_VIEW >= seen).then_some(seen as u16)
-}
-
-/// How many views see a place, and how many of them have it in their mask.
-pub(crate) fn views_of(silhouettes: &[Silhouette], place: DVec3) -> (usize, usize) {
-    let seen = silhouettes.iter().filter_map(|s| Some((s, s.camera.pixel_of(place)?)));
-    seen.fold((0, 0), |(seen, inside), (s, (x, y))| (seen + 1, inside + usize::from(s.mask.contains(x, y))))
-}
-
-fn bounds(hull: &Hull) -> Option<Region> {
-    let low = hull.centres.iter().copied().reduce(DVec3::min)?;
-    let high = hull.centres.iter().copied().reduce(DVec3::max)?;
+/// Of the voxels that at least `least_views` see.
+fn bounds(hull: &Hull, least_views: usize) -> Option<Region> {
+    let seen = |i: &usize| usize::from(hull.views[*i]) >= least_views;
+    let centres = || (0..hull.centres.len()).filter(seen).map(|i| hull.centres[i]);
+    let (low, high) = (centres().reduce(DVec3::min)?, centres().reduce(DVec3::max)?);
     Some(Region { low: low - hull.side, high: high + hull.side })
 }
 
@@ -123,42 +94,10 @@ impl Hull {
     }
 }
 
-/// The part of the world that the cameras look at: around the point nearest to all optical axes, as far as the
-/// cameras are from it. Parallel cameras have no such point; then it is as far ahead as ten times their distances
-/// from each other.
-pub(crate) fn common_region(cameras: &[Camera]) -> Region {
-    let centres: Vec<DVec3> = cameras.iter().map(Camera::center).collect();
-    let axes: Vec<DVec3> = cameras.iter().map(|c| c.rotation().transpose() * DVec3::Z).collect();
-    let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let spread = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
-    let middle = nearest_to_axes(&centres, &axes).filter(|m| {
-        let ahead = centres.iter().zip(&axes).filter(|(c, a)| (*m - **c).dot(**a) > 0.0).count();
-        ahead * 2 > cameras.len() && m.distance(mean) < 10.0 * spread
-    });
-    let ahead = axes.iter().sum::<DVec3>().normalize_or(DVec3::Z);
-    let middle = middle.unwrap_or(mean + ahead * 5.0 * spread);
-    let mut distances: Vec<f64> = centres.iter().map(|c| c.distance(middle)).collect();
-    distances.sort_by(f64::total_cmp);
-    let radius = distances[distances.len() / 2];
-    Region { low: middle - radius, high: middle + radius }
-}
-
-/// Least squares: the sum of I - a aᵀ over the axes, solved; `None` for axes that are nearly parallel.
-fn nearest_to_axes(centres: &[DVec3], axes: &[DVec3]) -> Option<DVec3> {
-    let (mut sum, mut right) = (glam::DMat3::ZERO, DVec3::ZERO);
-    for (c, a) in centres.iter().zip(axes) {
-        let across = glam::DMat3::IDENTITY - glam::DMat3::from_cols(*a * a.x, *a * a.y, *a * a.z);
-        sum += across;
-        right += across * *c;
-    }
-    let n = centres.len() as f64;
-    // The determinant of the mean is sin² of the axes' angles, about.
-    ((sum * (1.0 / n)).determinant() > 1e-3).then(|| sum.inverse() * right)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::region::common_region;
     use ffgs_core::{ImageSize, Intrinsics};
     use glam::DMat4;
 
@@ -197,7 +136,7 @@ mod tests {
             cameras.iter().map(|c| Silhouette { camera: *c, mask: ball(c, centre, radius) }).collect();
         let region = common_region(&cameras);
         assert!(((region.low + region.high) / 2.0 - DVec3::new(1.0, 0.0, 0.3)).length() < 1e-6);
-        let hull = hull(&silhouettes, region, 2);
+        let [hull] = hulls(&silhouettes, region, [2]);
         let farthest = hull.centres.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
         let mean = hull.centres.iter().sum::<DVec3>() / hull.centres.len() as f64;
         assert!(mean.distance(centre) < 0.02 && farthest > 0.28 && farthest < 0.5, "{mean} {farthest}");
@@ -206,17 +145,5 @@ mod tests {
             let both = (0..seen.data().len()).filter(|&i| seen.data()[i] * s.mask.data()[i] == 1).count();
             assert!(both as f64 > 0.95 * s.mask.count() as f64 && both as f64 > 0.5 * seen.count() as f64);
         }
-    }
-
-    #[test]
-    fn parallel_cameras_have_a_region_ahead_of_them() {
-        let size = ImageSize { width: 160, height: 120 };
-        let intrinsics = Intrinsics { fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
-        let at = |x: f64| {
-            Camera::new(intrinsics, DMat4::from_translation(DVec3::new(-x, 0.0, 0.0)), size).unwrap()
-        };
-        let region = common_region(&[at(-0.5), at(0.0), at(0.5)]);
-        let middle = (region.low + region.high) / 2.0;
-        assert!(middle.x.abs() < 1e-9 && (middle.z - 2.5).abs() < 1e-9);
     }
 }

@@ -4,6 +4,7 @@
 //! masks, points and tracks. A file that is there is complete and is not made again.
 
 mod beside;
+mod blocks;
 mod camera_lists;
 mod conversion;
 mod depth_maps;
@@ -24,6 +25,7 @@ mod pictures;
 mod points;
 mod preparation;
 mod progress;
+mod region;
 mod removal;
 mod request;
 mod rig;

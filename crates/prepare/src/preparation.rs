@@ -117,7 +117,10 @@ fn take(
         }),
         Step::Masks => {
             let rig = rig(footage, request)?;
-            masks::make(&capture, &Beside::new(&rig, request.clean_plates.as_deref())?, progress)
+            let beside = Beside::new(&rig, request.clean_plates.as_deref(), &request.out)?;
+            let made = masks::make(&capture, &beside, progress)?;
+            beside.discard()?;
+            Ok(made)
         }
         Step::Points => {
             let known = known_points(footage, journal);

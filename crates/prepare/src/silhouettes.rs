@@ -1,7 +1,7 @@
-//! Where what moves may be: places that most masks hold.
+//! What cameras saw of what moves, and where it may be: places that most masks hold.
 
-use crate::hull::{Silhouette, views_of};
 use crate::views::View;
+use ffgs_core::{Camera, Mask};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -11,6 +11,19 @@ const MARGIN: f64 = 0.005;
 const LEAST_SHARE: f64 = 0.5;
 /// Masks that must hold it at least: of a rig whose cameras overlap in pairs, two see it.
 const LEAST_MASKS: usize = 2;
+
+/// A camera with what it saw.
+#[derive(Clone, Debug)]
+pub(crate) struct Silhouette {
+    pub camera: Camera,
+    pub mask: Mask,
+}
+
+/// How many views see a place, and how many of them have it in their mask.
+pub(crate) fn views_of(silhouettes: &[Silhouette], place: DVec3) -> (usize, usize) {
+    let seen = silhouettes.iter().filter_map(|s| Some((s, s.camera.pixel_of(place)?)));
+    seen.fold((0, 0), |(seen, inside), (s, (x, y))| (seen + 1, inside + usize::from(s.mask.contains(x, y))))
+}
 
 /// The masks of all views, with a margin.
 pub(crate) struct Silhouettes(Vec<Silhouette>);
@@ -37,7 +50,6 @@ impl Silhouettes {
 mod tests {
     use super::*;
     use crate::painted::{SIZE, painted, view};
-    use ffgs_core::{Camera, Mask};
     use glam::DMat4;
 
     /// The left half of what some views show.

@@ -2,7 +2,7 @@
 
 use crate::free_space::FreeSpace;
 use crate::ground::Ground;
-use crate::hull::{Region, common_region};
+use crate::region::{Region, common_region};
 use crate::stereo::StereoPoint;
 use crate::surfaces::Surfaces;
 use crate::thinning::evenly;

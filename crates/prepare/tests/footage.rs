@@ -161,6 +161,7 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
     for file in ["masks.png", "tracks/tracks.json", "tracks/lucas_kanade/cam_0/000007.npz"] {
         assert!(request.out.join(file).is_file(), "{file}");
     }
+    assert!(!request.out.join("footage.part").exists(), "pictures that were kept for the masks");
     let told = Summary::read(&request.out.join(Summary::FILE)).unwrap().to_string();
     assert!(summary.to_string().ends_with(&told) && told.contains("assumed"), "{told}");
     // Nothing is made twice, what is forced is, and what is missing is made again.

@@ -138,19 +138,17 @@ impl Group {
     }
 }
 
-/// The largest group of samples of one colour.
+/// The largest group of samples of one colour; among equals the one that scatters least.
 fn mode(samples: &[[f32; 3]]) -> Group {
-    let group = |a: &[f32; 3]| samples.iter().filter(|b| same(a, b)).count();
-    let scatter = |a: &[f32; 3]| -> f32 {
-        samples
-            .iter()
-            .filter(|b| same(a, b))
-            .map(|b| a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f32>())
-            .sum()
+    let group = |a: &[f32; 3]| {
+        let distance = |b: &[f32; 3]| a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f32>();
+        let members = samples.iter().filter(|b| same(a, b));
+        members.fold((0, 0.0), |(count, scatter), b| (count + 1, scatter + distance(b)))
     };
+    let groups = samples.iter().map(|a| (group(a), a));
     let better =
-        |a: &&[f32; 3], b: &&[f32; 3]| group(a).cmp(&group(b)).then(scatter(b).total_cmp(&scatter(a)));
-    Group::around(samples.iter().max_by(better).expect("there are samples"), samples)
+        |(a, _): &((usize, f32), _), (b, _): &((usize, f32), _)| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1));
+    Group::around(groups.max_by(better).expect("there are samples").1, samples)
 }
 
 /// Colour and spread by how many samples agree and by what the surroundings tell; where masks hid the pixel in all samples, by the latter first.

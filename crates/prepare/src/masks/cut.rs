@@ -19,49 +19,57 @@ const OUTLINE_AT_EDGES: f32 = 0.15;
 /// The mask of least cost. `votes` are positive for foreground; `start` is where the steps begin.
 pub(crate) fn cheapest(votes: &[f32], image: &ImageRgb8, background: &Background, start: &Mask) -> Mask {
     let size = start.size();
-    let cost = Costs::new(image, background);
+    let costs = Costs::new(image, background);
     let mut soft: Vec<f32> = start.data().iter().map(|&m| f32::from(m)).collect();
     let mut ahead = soft.clone();
-    let mut dual = vec![[0.0_f32; 2]; soft.len()];
+    let mut right = vec![0.0_f32; soft.len()];
+    let mut below = right.clone();
     for _ in 0..STEPS {
-        climb(&mut dual, &ahead, &cost.edges, size);
-        descend(&mut soft, &mut ahead, &dual, votes, size);
+        climb(&mut right, &mut below, &ahead, &costs, size.width);
+        descend(&mut soft, &mut ahead, [&right, &below], votes, size.width);
     }
     Mask::new(size, soft.iter().map(|&u| u8::from(u > 0.5)).collect()).expect("one value per pixel")
 }
 
-fn climb(dual: &mut [[f32; 2]], ahead: &[f32], edges: &[[f32; 2]], ImageSize { width, height }: ImageSize) {
-    for y in 0..height {
-        for x in 0..width {
-            let i = y * width + x;
-            let right = if x + 1 < width { ahead[i + 1] - ahead[i] } else { 0.0 };
-            let below = if y + 1 < height { ahead[i + width] - ahead[i] } else { 0.0 };
-            dual[i][0] = (dual[i][0] + STEP * right).clamp(-edges[i][0], edges[i][0]);
-            dual[i][1] = (dual[i][1] + STEP * below).clamp(-edges[i][1], edges[i][1]);
+/// A dual step. Nothing lies to the right of the last column nor below the last row, and the duals there stay 0.
+fn climb(right: &mut [f32], below: &mut [f32], ahead: &[f32], costs: &Costs, width: usize) {
+    let step = |dual: &mut [f32], beside: &[f32], here: &[f32], most: &[f32]| {
+        for (((dual, beside), here), most) in dual.iter_mut().zip(beside).zip(here).zip(most) {
+            *dual = (*dual + STEP * (beside - here)).max(-most).min(*most);
         }
+    };
+    let rows = right.chunks_exact_mut(width).zip(costs.right.chunks_exact(width));
+    for ((dual, most), here) in rows.zip(ahead.chunks_exact(width)) {
+        step(&mut dual[..width - 1], &here[1..], here, most);
+    }
+    step(below, &ahead[width..], ahead, &costs.below);
+}
+
+/// A primal step.
+fn descend(soft: &mut [f32], ahead: &mut [f32], [right, below]: [&[f32]; 2], votes: &[f32], width: usize) {
+    let zeros = vec![0.0; width];
+    let mut above = &zeros[..];
+    let mut left = zeros.clone();
+    for (y, (soft, ahead)) in soft.chunks_exact_mut(width).zip(ahead.chunks_exact_mut(width)).enumerate() {
+        let row = y * width..(y + 1) * width;
+        let (right, below, votes) = (&right[row.clone()], &below[row.clone()], &votes[row]);
+        left[1..].copy_from_slice(&right[..width - 1]);
+        for x in 0..width {
+            let divergence = right[x] - left[x] + below[x] - above[x];
+            let next = (soft[x] + STEP * (divergence + votes[x])).clamp(0.0, 1.0);
+            ahead[x] = 2.0 * next - soft[x];
+            soft[x] = next;
+        }
+        above = below;
     }
 }
 
-fn descend(
-    soft: &mut [f32],
-    ahead: &mut [f32],
-    dual: &[[f32; 2]],
-    votes: &[f32],
-    ImageSize { width, .. }: ImageSize,
-) {
-    for i in 0..soft.len() {
-        let left = if i % width > 0 { dual[i - 1][0] } else { 0.0 };
-        let above = if i >= width { dual[i - width][1] } else { 0.0 };
-        let divergence = dual[i][0] - left + dual[i][1] - above;
-        let next = (soft[i] + STEP * (divergence + votes[i])).clamp(0.0, 1.0);
-        ahead[i] = 2.0 * next - soft[i];
-        soft[i] = next;
-    }
-}
-
+/// What an outline costs.
 struct Costs {
-    /// Between a pixel and the ones to its right and below it.
-    edges: Vec<[f32; 2]>,
+    /// Between a pixel and the one to its right,
+    right: Vec<f32>,
+    /// and the one below it.
+    below: Vec<f32>,
 }
 
 impl Costs {
@@ -85,7 +93,8 @@ impl Costs {
         let mean = contrasts.iter().flatten().sum::<f32>() / (2 * contrasts.len()) as f32;
         let scale = 1.0 / (2.0 * mean).max(1.0);
         let cost = |c: f32| OUTLINE * (OUTLINE_AT_EDGES + (1.0 - OUTLINE_AT_EDGES) * (-c * scale).exp());
-        Self { edges: contrasts.into_iter().map(|pair| pair.map(cost)).collect() }
+        let costs = |to: usize| contrasts.iter().map(|pair| cost(pair[to])).collect();
+        Self { right: costs(0), below: costs(1) }
     }
 }
 

@@ -11,8 +11,10 @@ mod regions;
 
 use crate::beside::Beside;
 use crate::extraction::file_name;
-use crate::hull::{Silhouette, common_region, hull};
+use crate::hull::hulls;
 use crate::pictures::{read_mask, write_mask};
+use crate::region::common_region;
+use crate::silhouettes::Silhouette;
 use crate::{PrepareError, Progress};
 use background::Background;
 use change::Change;
@@ -276,10 +278,7 @@ struct Agreed {
 fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Agreed> {
     let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
     let region = common_region(&fixed);
-    let (possible, seen) = (
-        hull(silhouettes, region, 1),
-        hull(silhouettes, region, usize::from(VIEWS_THAT_ADD).min(fixed.len())),
-    );
+    let [possible, seen] = hulls(silhouettes, region, [1, usize::from(VIEWS_THAT_ADD).min(fixed.len())]);
     let mut own = silhouettes.iter();
     let mut mask_of = |camera: &Camera, score: &Option<Vec<f32>>| {
         let add = seen.seen_by(camera, 0);
