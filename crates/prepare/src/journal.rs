@@ -21,6 +21,9 @@ pub(crate) struct Journal {
     pub settings: BTreeMap<String, serde_json::Value>,
     /// Finished steps and the sentence that says what they did.
     pub steps: BTreeMap<Step, String>,
+    /// The versions of these steps; 0 without one.
+    #[serde(default)]
+    pub versions: BTreeMap<Step, u32>,
     /// The clean plates that the masks were made from.
     #[serde(default)]
     pub clean_plates: Option<PathBuf>,
@@ -115,7 +118,19 @@ impl Journal {
     /// Notes a finished step.
     pub(crate) fn finish(&mut self, step: Step, text: String, out: &Path) -> Result<(), PrepareError> {
         self.steps.insert(step, text);
+        self.versions.insert(step, step.version());
         self.save(out)
+    }
+
+    /// What a finished step did, and how to have the results of today where an older program did it.
+    pub(crate) fn account(&self, step: Step) -> Option<String> {
+        let text = self.steps.get(&step)?;
+        let version = self.versions.get(&step).copied().unwrap_or_default();
+        Some(if version < step.version() {
+            format!("{text}; made by an older version of this program (--force {step} makes them again)")
+        } else {
+            text.clone()
+        })
     }
 
     /// Notes each sentence once.
@@ -166,4 +181,26 @@ fn settings(request: &Request) -> BTreeMap<String, serde_json::Value> {
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tempfile::TempDir;
+
+    /// A journal of before there were versions, and one of now.
+    #[test]
+    fn results_of_older_programs_are_told() {
+        let old = r#"{"settings": {}, "steps": {"pictures": "few", "points": "many"}, "origin": [0, 0, 0],
+            "metres_per_unit": 1, "assumed": [], "skipped": []}"#;
+        let mut journal: Journal = serde_json::from_str(old).unwrap();
+        let account = |journal: &Journal, step| journal.account(step).unwrap();
+        assert_eq!(account(&journal, Step::Pictures), "few");
+        assert!(account(&journal, Step::Points).contains("--force points"));
+        assert_eq!(journal.account(Step::Tracks), None);
+        let folder = TempDir::new().unwrap();
+        journal.finish(Step::Points, "many".to_owned(), folder.path()).unwrap();
+        let read = Journal::read(&folder.path().join(FILE)).unwrap();
+        assert_eq!(account(&read, Step::Points), "many");
+    }
 }

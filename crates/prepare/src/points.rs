@@ -63,17 +63,18 @@ pub(crate) fn make(
     parts.finish(1);
     let still = spread::background(&views, &matched.points, &matched.space, matched.ground.as_ref());
     let mut text = format!(
-        "{}, {} in the visual hull, {} spread in depth",
+        "{}, {} in the visual hull, {} spread in depth ({} of them behind what other views look through)",
         matched.account,
         moving.hull.len(),
-        moving.spread.len() + still.len()
+        moving.spread.len() + still.points.len(),
+        still.moved
     );
     if matched.points.is_empty() && moving.hull.is_empty() {
         tracing::warn!("{DISAGREE}");
         text = format!("{text}; {DISAGREE}");
     }
     rows.extend([moving.hull, moving.spread].concat());
-    rows.extend(still.iter().map(|p| row(p.position, p.colour, false)));
+    rows.extend(still.points.iter().map(|p| row(p.position, p.colour, false)));
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
     parts.finish(1);
     Ok(text)

@@ -69,8 +69,7 @@ impl Summary {
 
     fn add(&mut self, journal: &Journal) {
         for step in Step::ALL {
-            let text = journal.steps.get(&step).cloned().unwrap_or_else(|| "not made".to_owned());
-            self.row(&step.to_string(), text);
+            self.row(&step.to_string(), journal.account(step).unwrap_or_else(|| "not made".to_owned()));
         }
         journal.assumed.iter().for_each(|text| self.row("assumed", text));
         journal.skipped.iter().for_each(|text| self.row("skipped", text));

@@ -83,6 +83,16 @@ pub enum Step {
 impl Step {
     /// All steps in their order.
     pub const ALL: [Self; 4] = [Self::Pictures, Self::Masks, Self::Points, Self::Tracks];
+
+    /// Grows when the step's results become better, so that captures that were prepared before can be told.
+    pub(crate) fn version(self) -> u32 {
+        match self {
+            Self::Pictures | Self::Masks => 0,
+            // What is seen behind other things has points (docs/adr/0095-what-views-look-through-stands-behind.md), and tracks have neighbours
+            // that agree (docs/adr/0091-tracks-need-neighbours-that-agree.md).
+            Self::Points | Self::Tracks => 1,
+        }
+    }
 }
 
 impl fmt::Display for Step {

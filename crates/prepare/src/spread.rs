@@ -23,6 +23,13 @@ const BEYOND: f64 = 1.5;
 const STEP: f64 = 1.05;
 const FARTHEST: f64 = 4.0;
 
+/// Points of the background.
+pub(crate) struct Still {
+    pub points: Vec<StereoPoint>,
+    /// How many of them were moved behind what other views look through.
+    pub moved: usize,
+}
+
 /// Pixels of every view, outside its mask, at depths that continue those of the matched points; where there are too few, at
 /// depths from a quarter to four times that of the scene. Those that other views look through stand farther back.
 pub(crate) fn background(
@@ -30,16 +37,19 @@ pub(crate) fn background(
     matched: &[StereoPoint],
     space: &FreeSpace,
     ground: Option<&Ground>,
-) -> Vec<StereoPoint> {
+) -> Still {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let region = common_region(&cameras);
     let per_view = STILL.div_ceil(views.len());
     let of_view = |view: &View| {
         let surfaces = Surfaces::still(view, matched, ground);
         let samples = (0..per_view).filter_map(|i| sample(view, i, surfaces.as_ref(), region));
-        samples.filter_map(|point| behind_the_air(view, point, space, region)).collect::<Vec<_>>()
+        let placed = |from: StereoPoint| Some((from, behind_the_air(view, from, space, region)?));
+        samples.filter_map(placed).collect::<Vec<_>>()
     };
-    views.par_iter().map(of_view).collect::<Vec<_>>().concat()
+    let placed = views.par_iter().map(of_view).collect::<Vec<_>>().concat();
+    let moved = placed.iter().filter(|(from, to)| to.position != from.position).count();
+    Still { points: placed.into_iter().map(|(_, to)| to).collect(), moved }
 }
 
 /// Pixels of the mask of a view, one of `views`, at depths that continue those of the points that were `matched` on the foreground; none
