@@ -117,6 +117,14 @@ fn same(a: &[f32; 3], b: &[f32; 3]) -> bool {
     farthest_channel(a, b) <= SAME_COLOUR
 }
 
+/// Whether any two of them are the same, as those of most pixels are.
+fn are_all_same(samples: &[[f32; 3]]) -> bool {
+    let [low, high] = [f32::min, f32::max].map(|of: fn(f32, f32) -> f32| {
+        samples.iter().copied().reduce(|a, b| std::array::from_fn(|c| of(a[c], b[c])))
+    });
+    low.zip(high).is_some_and(|(low, high)| same(&low, &high))
+}
+
 /// Samples of one colour.
 struct Group {
     /// Their mean,
@@ -140,6 +148,9 @@ impl Group {
 
 /// The largest group of samples of one colour; among equals the one that scatters least.
 fn mode(samples: &[[f32; 3]]) -> Group {
+    if are_all_same(samples) {
+        return Group::around(&samples[0], samples);
+    }
     let group = |a: &[f32; 3]| {
         let distance = |b: &[f32; 3]| a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f32>();
         let members = samples.iter().filter(|b| same(a, b));

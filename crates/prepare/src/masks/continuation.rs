@@ -1,9 +1,11 @@
 //! Colours of pixels from those of their surroundings.
 
-use ffgs_core::ImageSize;
+use ffgs_core::{ImageSize, connected};
+use rayon::prelude::*;
 
-/// Sweeps of successive over-relaxation per pixel of the longest side of what is continued, and their factor.
+/// Sweeps of successive over-relaxation per pixel of the longest side of a region that is continued, the fewest and the most of them, and their factor.
 const SWEEPS: usize = 2;
+const FEWEST_SWEEPS: usize = 100;
 const MOST_SWEEPS: usize = 600;
 const RELAXATION: f32 = 1.9;
 
@@ -13,34 +15,95 @@ pub(crate) fn continued(
     colours: &[[f32; 3]],
     size: ImageSize,
     unknown: &[usize],
-    step: &dyn Fn(usize, usize) -> [f32; 3],
+    step: &(dyn Fn(usize, usize) -> [f32; 3] + Sync),
 ) -> Vec<[f32; 3]> {
     let mut all = colours.to_vec();
-    let around: Vec<Surroundings> = unknown.iter().map(|&i| Surroundings::new(i, size, step)).collect();
-    let sweeps = (SWEEPS * size.width.max(size.height)).min(MOST_SWEEPS);
-    for _ in 0..if unknown.is_empty() { 0 } else { sweeps } {
-        for (&i, around) in unknown.iter().zip(&around) {
-            for c in 0..3 {
-                let sum: f32 = around.neighbours().map(|j| all[j][c]).sum();
-                let wanted = (sum - around.steps[c]) / around.count as f32;
-                all[i][c] += RELAXATION * (wanted - all[i][c]);
-            }
-        }
+    let regions = regions(unknown, size);
+    let found: Vec<Vec<[f32; 3]>> =
+        regions.par_iter().map(|region| Region::new(region, colours, size, step).solved(size)).collect();
+    for (region, found) in regions.iter().zip(found) {
+        region.iter().zip(found).for_each(|(&i, colour)| all[i] = colour);
     }
     unknown.iter().map(|&i| all[i]).collect()
 }
 
-/// The neighbours of a pixel, and the sum of the steps to them.
+/// The connected regions of some pixels, each ascending.
+fn regions(pixels: &[usize], size: ImageSize) -> Vec<Vec<usize>> {
+    let mut seen = vec![true; size.pixels()];
+    pixels.iter().for_each(|&i| seen[i] = false);
+    let mut out = Vec::new();
+    for &start in pixels {
+        if !seen[start] {
+            let mut region = connected(start, size.width, &mut seen, |_, _| true);
+            region.sort_unstable();
+            out.push(region);
+        }
+    }
+    out
+}
+
+/// A connected region of unknown pixels.
+struct Region<'a> {
+    pixels: &'a [usize],
+    colours: Vec<[f32; 3]>,
+    around: Vec<Surroundings>,
+}
+
+/// The neighbours of a pixel.
+#[derive(Default)]
 struct Surroundings {
-    neighbours: [usize; 4],
-    count: usize,
-    steps: [f32; 3],
+    /// Places, in the region, of those that are unknown.
+    unknown: [u32; 4],
+    unknown_count: usize,
+    /// The sum of the colours of the others, less the steps to all.
+    given: [f32; 3],
+    /// All of them.
+    count: f32,
+}
+
+impl<'a> Region<'a> {
+    fn new(
+        pixels: &'a [usize],
+        colours: &[[f32; 3]],
+        size: ImageSize,
+        step: &dyn Fn(usize, usize) -> [f32; 3],
+    ) -> Self {
+        let around = pixels.iter().map(|&i| Surroundings::new(i, pixels, colours, size, step)).collect();
+        Self { pixels, colours: pixels.iter().map(|&i| colours[i]).collect(), around }
+    }
+
+    /// The colours, after as many sweeps as it takes from one side to the other.
+    fn solved(mut self, size: ImageSize) -> Vec<[f32; 3]> {
+        let extent = |at: fn(usize, usize) -> usize| {
+            let places = || self.pixels.iter().map(|&i| at(i, size.width));
+            places().max().unwrap_or(0) - places().min().unwrap_or(0) + 1
+        };
+        let longest = extent(|i, width| i % width).max(extent(|i, width| i / width));
+        for _ in 0..(SWEEPS * longest).clamp(FEWEST_SWEEPS, MOST_SWEEPS) {
+            for (at, around) in self.around.iter().enumerate() {
+                for c in 0..3 {
+                    let unknown = &around.unknown[..around.unknown_count];
+                    let sum =
+                        around.given[c] + unknown.iter().map(|&j| self.colours[j as usize][c]).sum::<f32>();
+                    let old = self.colours[at][c];
+                    self.colours[at][c] = old + RELAXATION * (sum / around.count - old);
+                }
+            }
+        }
+        self.colours
+    }
 }
 
 impl Surroundings {
-    fn new(i: usize, size: ImageSize, step: &dyn Fn(usize, usize) -> [f32; 3]) -> Self {
+    fn new(
+        i: usize,
+        region: &[usize],
+        colours: &[[f32; 3]],
+        size: ImageSize,
+        step: &dyn Fn(usize, usize) -> [f32; 3],
+    ) -> Self {
         let (x, y) = (i % size.width, i / size.width);
-        let mut found = Self { neighbours: [i; 4], count: 0, steps: [0.0; 3] };
+        let mut found = Self::default();
         let beside = [
             (x > 0).then(|| i - 1),
             (x + 1 < size.width).then_some(i + 1),
@@ -48,16 +111,18 @@ impl Surroundings {
             (y + 1 < size.height).then_some(i + size.width),
         ];
         for j in beside.into_iter().flatten() {
-            found.neighbours[found.count] = j;
-            found.count += 1;
+            found.count += 1.0;
+            let given = if let Ok(place) = region.binary_search(&j) {
+                found.unknown[found.unknown_count] = place as u32;
+                found.unknown_count += 1;
+                [0.0; 3]
+            } else {
+                colours[j]
+            };
             let step = step(i, j);
-            (0..3).for_each(|c| found.steps[c] += step[c]);
+            (0..3).for_each(|c| found.given[c] += given[c] - step[c]);
         }
         found
-    }
-
-    fn neighbours(&self) -> impl Iterator<Item = usize> {
-        self.neighbours[..self.count].iter().copied()
     }
 }
 
