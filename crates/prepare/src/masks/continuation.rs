@@ -3,7 +3,7 @@
 use ffgs_core::{ImageSize, connected};
 use rayon::prelude::*;
 
-/// Sweeps of successive over-relaxation per pixel of the longest side of a region that is continued, the fewest and the most of them, and their factor.
+/// Sweeps of successive over-relaxation per pixel of the longest side of a hole, the fewest and the most of them, and their factor.
 const SWEEPS: usize = 2;
 const FEWEST_SWEEPS: usize = 100;
 const MOST_SWEEPS: usize = 600;
@@ -18,32 +18,32 @@ pub(crate) fn continued(
     step: &(dyn Fn(usize, usize) -> [f32; 3] + Sync),
 ) -> Vec<[f32; 3]> {
     let mut all = colours.to_vec();
-    let regions = regions(unknown, size);
+    let holes = holes(unknown, size);
     let found: Vec<Vec<[f32; 3]>> =
-        regions.par_iter().map(|region| Region::new(region, colours, size, step).solved(size)).collect();
-    for (region, found) in regions.iter().zip(found) {
-        region.iter().zip(found).for_each(|(&i, colour)| all[i] = colour);
+        holes.par_iter().map(|hole| Hole::new(hole, colours, size, step).solved(size)).collect();
+    for (hole, found) in holes.iter().zip(found) {
+        hole.iter().zip(found).for_each(|(&i, colour)| all[i] = colour);
     }
     unknown.iter().map(|&i| all[i]).collect()
 }
 
 /// The connected regions of some pixels, each ascending.
-fn regions(pixels: &[usize], size: ImageSize) -> Vec<Vec<usize>> {
+fn holes(pixels: &[usize], size: ImageSize) -> Vec<Vec<usize>> {
     let mut seen = vec![true; size.pixels()];
     pixels.iter().for_each(|&i| seen[i] = false);
     let mut out = Vec::new();
     for &start in pixels {
         if !seen[start] {
-            let mut region = connected(start, size.width, &mut seen, |_, _| true);
-            region.sort_unstable();
-            out.push(region);
+            let mut hole = connected(start, size.width, &mut seen, |_, _| true);
+            hole.sort_unstable();
+            out.push(hole);
         }
     }
     out
 }
 
-/// A connected region of unknown pixels.
-struct Region<'a> {
+/// A connected region of unknown pixels, ascending.
+struct Hole<'a> {
     pixels: &'a [usize],
     colours: Vec<[f32; 3]>,
     around: Vec<Surroundings>,
@@ -52,7 +52,7 @@ struct Region<'a> {
 /// The neighbours of a pixel.
 #[derive(Default)]
 struct Surroundings {
-    /// Places, in the region, of those that are unknown.
+    /// Places, in the hole, of those that are unknown.
     unknown: [u32; 4],
     unknown_count: usize,
     /// The sum of the colours of the others, less the steps to all.
@@ -61,7 +61,7 @@ struct Surroundings {
     count: f32,
 }
 
-impl<'a> Region<'a> {
+impl<'a> Hole<'a> {
     fn new(
         pixels: &'a [usize],
         colours: &[[f32; 3]],
@@ -97,7 +97,7 @@ impl<'a> Region<'a> {
 impl Surroundings {
     fn new(
         i: usize,
-        region: &[usize],
+        hole: &[usize],
         colours: &[[f32; 3]],
         size: ImageSize,
         step: &dyn Fn(usize, usize) -> [f32; 3],
@@ -112,7 +112,7 @@ impl Surroundings {
         ];
         for j in beside.into_iter().flatten() {
             found.count += 1.0;
-            let given = if let Ok(place) = region.binary_search(&j) {
+            let given = if let Ok(place) = hole.binary_search(&j) {
                 found.unknown[found.unknown_count] = place as u32;
                 found.unknown_count += 1;
                 [0.0; 3]
