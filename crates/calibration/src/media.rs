@@ -190,13 +190,17 @@ pub(crate) fn images_in(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Whether the words of `name`, which is no number, come one after the other in `text`; case does not matter.
+/// A number of so many digits is the serial number of a camera; a shorter one may count anything.
+const SERIAL_DIGITS: usize = 4;
+
+/// Whether the words of `name`, a serial number or no number, come one after the other in `text`; case does not matter.
 fn has_words(text: &str, name: &str) -> bool {
     let words = |text: &str| -> Vec<String> {
         text.to_lowercase().split(|c: char| !c.is_alphanumeric()).map(ToOwned::to_owned).collect()
     };
     let (text, name_words) = (words(text), words(name));
-    name.chars().any(char::is_alphabetic) && text.windows(name_words.len()).any(|run| run == name_words)
+    let tells = name.chars().any(char::is_alphabetic) || name.len() >= SERIAL_DIGITS;
+    tells && text.windows(name_words.len()).any(|run| run == name_words)
 }
 
 /// A name in lower case without separators, as runs of letters and numbers: `cam_01` and `Cam1` are spelt alike.
@@ -272,7 +276,7 @@ mod tests {
         assert_eq!((of(&["04"]), of(&["cam_5"])), (None, None));
     }
 
-    /// The layouts of SLEAP's and Anipose's sessions.
+    /// The layouts of SLEAP's, Anipose's and Qualisys' sessions.
     #[test]
     fn a_video_is_found_by_its_folder_or_by_a_word_of_its_name() {
         let files = [
@@ -282,6 +286,7 @@ mod tests {
             "2019-08-02-vid01-cam_B.mp4",
             "one-C.mp4",
             "two-C.mp4",
+            "trial_Miqus_1_23087.avi",
         ];
         let (folder, media) = laid_out(&files);
         let mut assumed = Vec::new();
@@ -293,7 +298,8 @@ mod tests {
         assert_eq!(of("back"), video("back/trial.mp4"));
         assert_eq!([of("A"), of("b")], [video(files[2]), video(files[3])]);
         assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
-        assert!(assumed.len() == 3 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
+        assert_eq!([of("23087"), of("2308")], [video(files[6]), None], "a serial number of Qualisys");
+        assert!(assumed.len() == 4 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
     }
 
     /// Pose2Sim's calibrations call `cam_01` what its videos call `cam01`.

@@ -158,6 +158,61 @@ fn easyvolcap() {
     assert!(footage.cameras.iter().all(|c| matches!(&c.masks, Some(Pictures::Files(m)) if m.len() == 1)));
 }
 
+/// A camera of Qualisys Track Manager, with the given attributes after its serial number, whose video shows the sensor from (100, 20) on.
+fn qualisys_camera(serial: &str, attributes: &str, pose: DMat4) -> String {
+    let (left, top) = (100.0, 20.0);
+    let ([k1, k2, p1, p2, k3], place) = (BROWN, pose.inverse().w_axis);
+    // Rows of the turn from the world to a camera with y up and z back.
+    let rows = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_mat4(pose);
+    let rows = rows.transpose().to_cols_array();
+    let axes: String = (0..9).map(|k| format!(" r{}{}=\"{}\"", k / 3 + 1, k % 3 + 1, rows[k])).collect();
+    let [fx, fy, cx, cy] = [K[0], K[1], K[2] - 0.5 + left, K[3] - 0.5 + top].map(|v| 64.0 * v);
+    let (right, bottom) = (left + f64::from(WIDTH) - 1.0, top + f64::from(HEIGHT) - 1.0);
+    format!(
+        r#"<camera serial="{serial}" {attributes}>
+        <fov_video left="{left}" top="{top}" right="{right}" bottom="{bottom}"/>
+        <transform x="{}" y="{}" z="{}"{axes}/>
+        <intrinsic focalLengthU="{fx}" focalLengthV="{fy}" centerPointU="{cx}" centerPointV="{cy}" skew="0" radialDistortion1="{k1}"
+            radialDistortion2="{k2}" radialDistortion3="{k3}" tangentalDistortion1="{p1}" tangentalDistortion2="{p2}"/></camera>"#,
+        place.x, place.y, place.z
+    )
+}
+
+#[test]
+fn qualisys_in_millimetres() {
+    let pictures = folder(&["23087/1.png", "cam02/1.png"]);
+    let cameras = |attributes: &str| {
+        let [a, b] = poses();
+        let all = [("23087", attributes, a), ("11000", "model=\"Oqus 700\"", a), ("cam02", "", b)];
+        all.map(|(serial, attributes, pose)| qualisys_camera(serial, attributes, pose)).concat()
+    };
+    let text = |attributes: &str| {
+        format!(
+            "<?xml version='1.0'?>\n<calibration><cameras>{}</cameras></calibration>",
+            cameras(attributes)
+        )
+    };
+    write(&pictures, "calibration/trial.qca.txt", &text("viewrotation=\"0\""));
+    let footage = read(pictures.path(), "qualisys");
+    assert_rig(&footage.cameras, true);
+    assert_eq!(footage.metres_per_unit, Some(0.001));
+    assert!(footage.skipped == ["1 of 3 cameras have no video or images here"] && footage.assumed.is_empty());
+    write(&pictures, "calibration/trial.qca.txt", &text("viewrotation=\"90\""));
+    assert!(read(pictures.path(), "qualisys").assumed[0].contains("23087"));
+    for (was, is, message) in [
+        ("</calibration>", "", "root"),
+        ("skew=\"0\"", "skew=\"NaN\"", "'skew' of <intrinsic> is no number: 'NaN'"),
+        ("<fov_video", "<fov", "no <fov_video>"),
+        (" r33", " rr", "no 'r33'"),
+        ("camera", "cam", "no <camera>"),
+    ] {
+        write(&pictures, "calibration/trial.qca.txt", &text("").replace(was, is));
+        let (format, file) = detect(pictures.path(), None).unwrap();
+        let error = (format.read)(pictures.path(), &file).unwrap_err().to_string();
+        assert!(error.contains("trial.qca.txt") && error.contains(message), "{error}");
+    }
+}
+
 #[test]
 fn panoptic_in_centimetres() {
     let pictures = folder(&["hdImgs/00_00/1.png", "hdImgs/00_01/1.png"]);

@@ -10,6 +10,7 @@ mod opencv_yaml;
 mod panoptic;
 mod point_ply;
 mod poses_bounds;
+mod qualisys;
 mod transforms;
 
 pub use camera_toml::FORMAT as TOML;
@@ -17,6 +18,7 @@ pub use colmap::FORMAT as COLMAP;
 pub use opencv_yaml::FORMAT as EASYVOLCAP;
 pub use panoptic::FORMAT as PANOPTIC;
 pub use poses_bounds::FORMAT as N3DV;
+pub use qualisys::FORMAT as QUALISYS;
 pub use transforms::FORMAT as TRANSFORMS;
 
 use crate::media::{is_footage, is_picture, natural_order};
@@ -43,7 +45,8 @@ pub struct Format {
 }
 
 /// All formats, in the order in which they are tried.
-pub const FORMATS: [Format; 7] = [dynamic3dgs::FORMAT, PANOPTIC, N3DV, TRANSFORMS, EASYVOLCAP, TOML, COLMAP];
+pub const FORMATS: [Format; 8] =
+    [dynamic3dgs::FORMAT, PANOPTIC, N3DV, TRANSFORMS, EASYVOLCAP, TOML, QUALISYS, COLMAP];
 
 /// The format called `name`, or the first that recognises the folder, and its calibration file.
 ///

@@ -22,6 +22,7 @@ pub(crate) fn write(format: &str, folder: &Path) {
         "transforms" => transforms(folder),
         "easyvolcap" => easyvolcap(folder),
         "toml" => toml(folder),
+        "qualisys" => qualisys(folder),
         "colmap" => colmap(folder),
         other => panic!("no capture of the format {other}: add one"),
     }
@@ -157,6 +158,32 @@ fn toml(folder: &Path) {
         )
     };
     file(folder, "calibration.toml", poses().into_iter().enumerate().map(camera).collect::<String>());
+}
+
+fn qualisys(folder: &Path) {
+    pictures(folder, ["23087/1.png", "23088/1.png"]);
+    let [cx, cy] = [WIDTH, HEIGHT].map(|side| 32.0 * (f64::from(side) - 1.0));
+    let camera = |(i, pose): (usize, DMat4)| {
+        let world_from_camera = pose.inverse();
+        let [x, y, z] = translation(world_from_camera).map(|metres| 1000.0 * metres);
+        let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        let axes: String = rows(flip * rotation(pose))
+            .into_iter()
+            .enumerate()
+            .map(|(k, v)| format!(" r{}{}=\"{v}\"", k / 3 + 1, k % 3 + 1))
+            .collect();
+        let f = 64.0 * FOCAL;
+        format!(
+            r#"<camera serial="{}"><fov_video left="0" top="0" right="{}" bottom="{}"/><transform x="{x}" y="{y}" z="{z}"{axes}/>
+            <intrinsic focalLengthU="{f}" focalLengthV="{f}" centerPointU="{cx}" centerPointV="{cy}" radialDistortion1="0"
+            radialDistortion2="0" tangentalDistortion1="0" tangentalDistortion2="0"/></camera>"#,
+            23087 + i,
+            WIDTH - 1,
+            HEIGHT - 1
+        )
+    };
+    let cameras: String = poses().into_iter().enumerate().map(camera).collect();
+    file(folder, "session.qca.txt", format!("<calibration><cameras>{cameras}</cameras></calibration>"));
 }
 
 fn colmap(folder: &Path) {
