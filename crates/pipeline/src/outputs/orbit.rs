@@ -15,8 +15,12 @@ const TALL: f64 = 0.95;
 /// which is under a roof if there is one, but at least [`LEAST_ELEVATION`].
 const ORBIT_ELEVATION: f64 = 0.8;
 const LEAST_ELEVATION: f64 = 0.3;
+/// An orbit shows its object with at most so many times the pixels per length (focal length over distance) that the best training view has of it.
+const MAGNIFIED: f64 = 2.0;
+/// What is circled is in the images of at least this share of as many training views as what most of them show: the rest is a blur from most sides.
+const SEEN_SHARE: f64 = 0.5;
 
-/// `views` cameras on a circle around one of the objects that the Gaussians `dynamic` of a frame are, with the lens and size of the
+/// `views` cameras on a circle around one of the objects that the Gaussians `dynamic` of a frame are, one that many cameras see, with the lens and size of the
 /// first test camera.
 ///
 /// # Errors
@@ -26,14 +30,17 @@ pub fn orbit(capture: &dyn Capture, dynamic: &Gaussians, frame: usize, views: us
     if moving.is_empty() {
         bail!("frame {frame} has no moving Gaussian to circle; choose a --camera");
     }
-    let mut cameras = Vec::new();
-    for split in [Split::Test, Split::Train] {
-        for view in 0..capture.views(split).len() {
-            cameras.push(capture.camera(ViewAt { split, view, frame })?);
-        }
-    }
+    let [tests, trained] = [Split::Test, Split::Train].map(|split| -> Result<Vec<Camera>> {
+        (0..capture.views(split).len())
+            .map(|view| Ok(capture.camera(ViewAt { split, view, frame })?))
+            .collect()
+    });
+    let trained = trained?;
+    let mut object = one_object(&well_seen(moving, &trained));
+    object.detail = detail(object.middle, &trained);
+    let cameras = [tests?, trained].concat();
     let lens = cameras.first().context("the capture has no camera")?;
-    circle(&cameras, &one_object(&moving), views)
+    circle(&cameras, &object, views)
         .into_iter()
         .map(|pose| Ok(Camera::new(lens.intrinsics(), pose, lens.size())?))
         .collect()
@@ -78,6 +85,24 @@ struct Object {
     /// Median distance of its Gaussians from the middle (m).
     extent: f64,
     points: Vec<DVec3>,
+    /// Pixels per metre with which the best training view shows its middle; infinite when none does, or it is not known.
+    detail: f64,
+}
+
+/// Those of the points that are in the images of many training views, by [`SEEN_SHARE`].
+fn well_seen(mut points: Vec<DVec3>, trained: &[Camera]) -> Vec<DVec3> {
+    let seen = |p: &DVec3| trained.iter().filter(|camera| camera.pixel_of(*p).is_some()).count();
+    // No maximum: single points may be anywhere.
+    let most = quantile(points.iter().map(|p| seen(p) as f64), 0.95);
+    points.retain(|p| seen(p) as f64 >= SEEN_SHARE * most);
+    points
+}
+
+/// See [`Object::detail`].
+fn detail(middle: DVec3, trained: &[Camera]) -> f64 {
+    let shown = trained.iter().filter(|camera| camera.pixel_of(middle).is_some());
+    let best = shown.map(|c| c.intrinsics().focal() / c.center().distance(middle)).fold(0.0, f64::max);
+    if best > 0.0 { best } else { f64::INFINITY }
 }
 
 /// One object: among several, medians over what lies near the present middle settle on one.
@@ -93,7 +118,7 @@ fn one_object(points: &[DVec3]) -> Object {
         }
         near = next;
     }
-    Object { middle, extent, points: near }
+    Object { middle, extent, points: near, detail: f64::INFINITY }
 }
 
 /// Poses (camera from world) that look at the object's middle.
@@ -106,7 +131,8 @@ fn circle(cameras: &[Camera], object: &Object, views: usize) -> Vec<DMat4> {
     };
     let tall = quantile(object.points.iter().map(|p| (*p - target).dot(up).abs()), TALL);
     let near = ORBIT_MARGIN * object.extent.max(1e-3) * (1.0 + zoom(|size| size.width.max(size.height)));
-    let radius = near.max(tall * (1.0 + zoom(|size| size.height)));
+    let focal = cameras.first().map_or(0.0, |c| c.intrinsics().focal());
+    let radius = near.max(tall * (1.0 + zoom(|size| size.height))).max(focal / (MAGNIFIED * object.detail));
     let highest = cameras.iter().map(|c| (c.center() - target).dot(up)).fold(0.0, f64::max);
     let height = highest.clamp(LEAST_ELEVATION * radius, ORBIT_ELEVATION * radius);
     let (east, north) = up.any_orthonormal_pair();
@@ -149,7 +175,7 @@ mod tests {
     }
 
     fn ball(extent: f64) -> Object {
-        Object { middle: DVec3::ZERO, extent, points: Vec::new() }
+        Object { middle: DVec3::ZERO, extent, points: Vec::new(), detail: f64::INFINITY }
     }
 
     /// A person of 1.8 m, 0.5 m wide, before an upright and a wide picture.
@@ -189,6 +215,46 @@ mod tests {
         assert_eq!(clear_of(&scene, &cameras).static_layer.means, [[0.0; 3]]);
     }
 
+    /// A camera at `eye` that looks along +x, z up.
+    fn along_x(eye: DVec3) -> Camera {
+        let lens = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0 };
+        let rotation = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X).transpose();
+        let mut pose = DMat4::from_mat3(rotation);
+        pose.w_axis = (-(rotation * eye)).extend(1.0);
+        Camera::new(lens, pose, ImageSize { width: 100, height: 100 }).unwrap()
+    }
+
+    #[test]
+    fn what_few_cameras_see_is_not_circled() {
+        let cameras = [-8.0, -6.0, -4.0].map(|x| along_x(DVec3::new(x, 0.0, 0.0)));
+        // The cloud of 900 is in the last camera's image alone, from where it stands behind all others' backs.
+        let cloud = |middle: DVec3, n: usize| {
+            (0..n).map(move |i| middle + 0.3 * DVec3::new((i as f64).sin(), (i as f64 * 1.7).cos(), 0.0))
+        };
+        let few = DVec3::new(0.0, 5.0, 0.0);
+        let back = along_x(few - 20.0 * DVec3::X);
+        let trained = [cameras[0], cameras[1], cameras[2], back];
+        let points: Vec<DVec3> = cloud(few, 900).chain(cloud(DVec3::ZERO, 300)).collect();
+        assert!(one_object(&points).middle.distance(few) < 0.1, "it has the most points");
+        assert!(one_object(&well_seen(points.clone(), &trained)).middle.length() < 0.1);
+        assert_eq!(well_seen(points.clone(), &[]), points, "no camera: all");
+    }
+
+    #[test]
+    fn a_circle_keeps_away_from_what_was_seen_from_afar() {
+        let camera = along_x(DVec3::new(-40.0, 0.0, 0.0));
+        let radius = |detail| {
+            let object = Object { detail, ..ball(1.0) };
+            let pose = circle(&[camera], &object, 4)[0];
+            Camera::new(camera.intrinsics(), pose, camera.size()).unwrap().center().truncate().length()
+        };
+        assert!((detail(DVec3::ZERO, &[camera]) - 2.5).abs() < 1e-12);
+        assert!((radius(2.5) - 20.0).abs() < 1e-9, "half of the camera's distance");
+        assert!(radius(f64::INFINITY) < 5.0);
+        let elsewhere = along_x(DVec3::new(1.0, 0.0, 0.0));
+        assert!(detail(DVec3::ZERO, &[elsewhere]).is_infinite(), "it looks away");
+    }
+
     #[test]
     fn of_two_objects_one_is_circled() {
         let disc = |center: DVec3| {
@@ -198,7 +264,8 @@ mod tests {
             disc(DVec3::ZERO).chain(disc(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
         let found = one_object(&points);
         assert!(found.middle.length() < 0.3 && found.extent < 1.5, "{} {}", found.middle, found.extent);
-        let single = Object { middle: points[0], extent: 0.0, points: vec![points[0]] };
+        let single =
+            Object { middle: points[0], extent: 0.0, points: vec![points[0]], detail: f64::INFINITY };
         assert_eq!(one_object(&points[..1]), single);
     }
 }
