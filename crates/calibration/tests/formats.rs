@@ -199,6 +199,9 @@ fn qualisys_in_millimetres() {
     assert!(footage.skipped == ["1 of 3 cameras have no video or images here"] && footage.assumed.is_empty());
     write(&pictures, "calibration/trial.qca.txt", &text("viewrotation=\"90\""));
     assert!(read(pictures.path(), "qualisys").assumed[0].contains("23087"));
+    write(&pictures, "calibration/trial.qca.txt", &text("active=\"0\""));
+    let footage = read(pictures.path(), "qualisys");
+    assert!(footage.cameras.len() == 1 && footage.skipped[0].contains("'23087' was not active"));
     for (was, is, message) in [
         ("</calibration>", "", "root"),
         ("skew=\"0\"", "skew=\"NaN\"", "'skew' of <intrinsic> is no number: 'NaN'"),

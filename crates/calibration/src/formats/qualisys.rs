@@ -35,12 +35,18 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         return Err(fail("it has no <camera>: export the calibration from Qualisys Track Manager".into()));
     }
     let media = Media::find(folder)?;
+    let mut without = 0;
     let mut footage = Footage { metres_per_unit: Some(METRES_PER_UNIT), ..Footage::default() };
     for entry in &entries {
         let name = entry.attribute("serial").unwrap_or_default().to_owned();
         let Some(pictures) = media.likely_of_camera(std::slice::from_ref(&name), &mut footage.assumed) else {
+            without += 1;
             continue;
         };
+        if entry.attribute("active") == Some("0") {
+            footage.skipped.push(format!("camera '{name}' was not active when the rig was calibrated"));
+            continue;
+        }
         let fail = |reason: String| fail(format!("camera '{name}': {reason}"));
         let (lens, pose) = (lens(*entry).map_err(fail)?, camera_from_world(*entry).map_err(fail)?);
         if entry.attribute("viewrotation").is_some_and(|angle| angle != "0") {
@@ -52,7 +58,6 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             SourceCamera { name, lens, poses: vec![pose], pictures, masks: None, role: Role::Unsaid };
         footage.cameras.push(checked(camera, file)?);
     }
-    let without = entries.len() - footage.cameras.len();
     if without > 0 {
         footage.skipped.push(format!("{without} of {} cameras have no video or images here", entries.len()));
     }
