@@ -22,7 +22,7 @@ use tempfile::TempDir;
 pub(crate) type Entry = fn(&[u8]) -> bool;
 
 /// Name and parser of every kind of file that is read.
-pub(crate) const ENTRIES: [(&str, Entry); 33] = [
+pub(crate) const ENTRIES: [(&str, Entry); 34] = [
     ("npy", npy),
     ("npz", npz),
     ("npz_array", npz_array),
@@ -50,6 +50,7 @@ pub(crate) const ENTRIES: [(&str, Entry); 33] = [
     ("opencv_yaml", |bytes| footage("easyvolcap", "intri.yml", bytes)),
     ("camera_toml", |bytes| footage("toml", "calibration.toml", bytes)),
     ("panoptic", |bytes| footage("panoptic", "calibration_1.json", bytes)),
+    ("qualisys", |bytes| footage("qualisys", "trial.qca.txt", bytes)),
     ("poses_bounds", |bytes| footage("n3dv", "poses_bounds.npy", bytes)),
     ("timestamps", |bytes| preparation("footage/timestamps.csv", bytes)),
     ("prepare_json", |bytes| preparation("out/prepare.json", bytes)),
