@@ -32,7 +32,7 @@ pub struct PrepareArgs {
     #[arg(long, alias = "output", value_name = "DIR")]
     pub out: PathBuf,
     /// The calibration's format instead of the one that is recognised: dynamic3dgs, panoptic, n3dv, transforms,
-    /// easyvolcap, toml or colmap
+    /// easyvolcap, toml, qualisys or colmap
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
     /// First frame of the footage
