@@ -165,13 +165,14 @@ fn qualisys_camera(serial: &str, attributes: &str, pose: DMat4) -> String {
     // Rows of the turn from the world to a camera with y up and z back.
     let rows = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_mat4(pose);
     let rows = rows.transpose().to_cols_array();
-    let axes: String = (0..9).map(|k| format!(" r{}{}=\"{}\"", k / 3 + 1, k % 3 + 1, rows[k])).collect();
+    let axis = |k: usize| format!("r{}{}=\"{}\"", k / 3 + 1, k % 3 + 1, rows[k]);
+    let axes = (0..9).map(axis).collect::<Vec<_>>().join(" ");
     let [fx, fy, cx, cy] = [K[0], K[1], K[2] - 0.5 + left, K[3] - 0.5 + top].map(|v| 64.0 * v);
     let (right, bottom) = (left + f64::from(WIDTH) - 1.0, top + f64::from(HEIGHT) - 1.0);
     format!(
         r#"<camera serial="{serial}" {attributes}>
         <fov_video left="{left}" top="{top}" right="{right}" bottom="{bottom}"/>
-        <transform x="{}" y="{}" z="{}"{axes}/>
+        <transform x="{}" y="{}" z="{}" {axes}/>
         <intrinsic focalLengthU="{fx}" focalLengthV="{fy}" centerPointU="{cx}" centerPointV="{cy}" skew="0" radialDistortion1="{k1}"
             radialDistortion2="{k2}" radialDistortion3="{k3}" tangentalDistortion1="{p1}" tangentalDistortion2="{p2}"/></camera>"#,
         place.x, place.y, place.z

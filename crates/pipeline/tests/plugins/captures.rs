@@ -167,14 +167,12 @@ fn qualisys(folder: &Path) {
         let world_from_camera = pose.inverse();
         let [x, y, z] = translation(world_from_camera).map(|metres| 1000.0 * metres);
         let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-        let axes: String = rows(flip * rotation(pose))
-            .into_iter()
-            .enumerate()
-            .map(|(k, v)| format!(" r{}{}=\"{v}\"", k / 3 + 1, k % 3 + 1))
-            .collect();
+        let axes = rows(flip * rotation(pose)).into_iter().enumerate();
+        let axes: Vec<String> = axes.map(|(k, v)| format!("r{}{}=\"{v}\"", k / 3 + 1, k % 3 + 1)).collect();
+        let axes = axes.join(" ");
         let f = 64.0 * FOCAL;
         format!(
-            r#"<camera serial="{}"><fov_video left="0" top="0" right="{}" bottom="{}"/><transform x="{x}" y="{y}" z="{z}"{axes}/>
+            r#"<camera serial="{}"><fov_video left="0" top="0" right="{}" bottom="{}"/><transform x="{x}" y="{y}" z="{z}" {axes}/>
             <intrinsic focalLengthU="{f}" focalLengthV="{f}" centerPointU="{cx}" centerPointV="{cy}" radialDistortion1="0"
             radialDistortion2="0" tangentalDistortion1="0" tangentalDistortion2="0"/></camera>"#,
             23087 + i,
@@ -182,7 +180,7 @@ fn qualisys(folder: &Path) {
             HEIGHT - 1
         )
     };
-    let cameras: String = poses().into_iter().enumerate().map(camera).collect();
+    let cameras = poses().into_iter().enumerate().map(camera).collect::<Vec<String>>().concat();
     file(folder, "session.qca.txt", format!("<calibration><cameras>{cameras}</cameras></calibration>"));
 }
 
