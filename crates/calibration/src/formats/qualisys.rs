@@ -1,4 +1,4 @@
-//! The calibration that Qualisys Track Manager exports as XML (`*.qca.txt`): millimetres, and pixels in 64ths. Markers' infrared cameras and
+//! The calibration that Qualisys Track Manager exports as XML (`*.qca.txt`): millimetres, and 1/64 of a pixel. Markers' infrared cameras and
 //! video cameras stand side by side in it.
 //!
 //! Distortion is that of OpenCV's model and taken as it stands: of four cameras of Pose2Sim's demonstration, whose chessboard pictures it gives,
