@@ -15,9 +15,9 @@ const TALL: f64 = 0.95;
 /// which is under a roof if there is one, but at least [`LEAST_ELEVATION`].
 const ORBIT_ELEVATION: f64 = 0.8;
 const LEAST_ELEVATION: f64 = 0.3;
-/// An orbit shows its object with at most so many times the pixels per length (focal length over distance) that the best training view has of it.
+/// An orbit has at most so many times the pixels per length (focal length over distance) of the training view that shows its object largest.
 const MAGNIFIED: f64 = 2.0;
-/// What is circled is in the images of at least this share of as many training views as what most of them show: the rest is a blur from most sides.
+/// What is circled lies in the images of many training views: at least this share of the number that see what is seen best. The rest is a blur from most sides.
 const SEEN_SHARE: f64 = 0.5;
 
 /// `views` cameras on a circle around one of the objects that the Gaussians `dynamic` of a frame are, one that many cameras see, with the lens and size of the
