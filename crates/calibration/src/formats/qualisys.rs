@@ -1,8 +1,9 @@
 //! The calibration that Qualisys Track Manager exports as XML (`*.qca.txt`): millimetres, and 1/64 of a pixel. Markers' infrared cameras and
 //! video cameras stand side by side in it.
 //!
-//! Distortion is that of OpenCV's model and taken as it stands: of four cameras of Pose2Sim's demonstration, whose chessboard pictures it gives,
-//! three reproject better with it (0.47 px against 0.47, 0.53 against 0.60, 0.52 against 0.57, 1.48 against 1.52) than with the 64th that Pose2Sim takes of it.
+//! Distortion is that of OpenCV's model, as it stands. Pose2Sim takes a 64th of it; four cameras of its demonstration reproject their own chessboard
+//! pictures with 0.47, 0.53, 0.52 and 1.48 px as it stands, with 0.47, 0.60, 0.57 and 1.52 px with the 64th (OpenCV's `calibrateCamera` with fixed
+//! intrinsics, by a script that is not kept).
 
 use super::{Format, checked, find_below, from_opengl, intrinsics, read_text, rigid};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Role, SourceCamera};

@@ -36,7 +36,7 @@ pub fn orbit(capture: &dyn Capture, dynamic: &Gaussians, frame: usize, views: us
             .collect()
     });
     let trained = trained?;
-    let mut object = one_object(&well_seen(moving, &trained));
+    let mut object = one_object(&moving, well_seen(&moving, &trained));
     object.detail = detail(object.middle, &trained);
     let cameras = [tests?, trained].concat();
     let lens = cameras.first().context("the capture has no camera")?;
@@ -90,12 +90,11 @@ struct Object {
 }
 
 /// Those of the points that are in the images of many training views, by [`SEEN_SHARE`].
-fn well_seen(mut points: Vec<DVec3>, trained: &[Camera]) -> Vec<DVec3> {
+fn well_seen(points: &[DVec3], trained: &[Camera]) -> Vec<DVec3> {
     let seen = |p: &DVec3| trained.iter().filter(|camera| camera.pixel_of(*p).is_some()).count();
     // No maximum: single points may be anywhere.
     let most = quantile(points.iter().map(|p| seen(p) as f64), 0.95);
-    points.retain(|p| seen(p) as f64 >= SEEN_SHARE * most);
-    points
+    points.iter().copied().filter(|p| seen(p) as f64 >= SEEN_SHARE * most).collect()
 }
 
 /// See [`Object::detail`].
@@ -105,9 +104,10 @@ fn detail(middle: DVec3, trained: &[Camera]) -> f64 {
     if best > 0.0 { best } else { f64::INFINITY }
 }
 
-/// One object: among several, medians over what lies near the present middle settle on one.
-fn one_object(points: &[DVec3]) -> Object {
-    let (mut near, mut middle, mut extent) = (points.to_vec(), DVec3::ZERO, 0.0);
+/// One object: among several, medians over what lies near the present middle, at first over `near`, settle on one. It is whole, though `near` may be
+/// a part of it.
+fn one_object(points: &[DVec3], mut near: Vec<DVec3>) -> Object {
+    let (mut middle, mut extent) = (DVec3::ZERO, 0.0);
     for _ in 0..20 {
         middle = DVec3::from_array([0, 1, 2].map(|a| median(near.iter().map(|p| p[a]))));
         extent = median(near.iter().map(|p| p.distance(middle)));
@@ -174,6 +174,10 @@ mod tests {
         }
     }
 
+    fn settled(points: &[DVec3]) -> Object {
+        one_object(points, points.to_vec())
+    }
+
     fn ball(extent: f64) -> Object {
         Object { middle: DVec3::ZERO, extent, points: Vec::new(), detail: f64::INFINITY }
     }
@@ -183,7 +187,7 @@ mod tests {
     fn what_stands_upright_is_in_the_picture_from_head_to_foot() {
         let place =
             |i: usize| DVec3::new(0.25 * (i as f64).sin(), 0.15 * (i as f64).cos(), -0.9 + 0.0018 * i as f64);
-        let person = one_object(&(0..1000).map(place).collect::<Vec<_>>());
+        let person = settled(&(0..1000).map(place).collect::<Vec<_>>());
         for (width, height) in [(36, 64), (64, 36)] {
             let lens = Intrinsics { fx: 50.0, fy: 50.0, cx: width as f64 / 2.0, cy: height as f64 / 2.0 };
             let rotation = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y).transpose();
@@ -235,9 +239,12 @@ mod tests {
         let back = along_x(few - 20.0 * DVec3::X);
         let trained = [cameras[0], cameras[1], cameras[2], back];
         let points: Vec<DVec3> = cloud(few, 900).chain(cloud(DVec3::ZERO, 300)).collect();
-        assert!(one_object(&points).middle.distance(few) < 0.1, "it has the most points");
-        assert!(one_object(&well_seen(points.clone(), &trained)).middle.length() < 0.1);
-        assert_eq!(well_seen(points.clone(), &[]), points, "no camera: all");
+        assert!(settled(&points).middle.distance(few) < 0.1, "it has the most points");
+        let object = one_object(&points, well_seen(&points, &trained));
+        assert!(object.middle.length() < 0.1 && object.points.len() == 300, "{object:?}");
+        assert_eq!(well_seen(&points, &[]), points, "no camera: all");
+        let half: Vec<DVec3> = cloud(DVec3::ZERO, 300).filter(|p| p.x > 0.0).collect();
+        assert_eq!(one_object(&points, half), object, "whole, though half of it is well seen");
     }
 
     #[test]
@@ -262,10 +269,10 @@ mod tests {
         };
         let points: Vec<DVec3> =
             disc(DVec3::ZERO).chain(disc(DVec3::new(12.0, 0.0, 0.0)).take(150)).collect();
-        let found = one_object(&points);
+        let found = settled(&points);
         assert!(found.middle.length() < 0.3 && found.extent < 1.5, "{} {}", found.middle, found.extent);
         let single =
             Object { middle: points[0], extent: 0.0, points: vec![points[0]], detail: f64::INFINITY };
-        assert_eq!(one_object(&points[..1]), single);
+        assert_eq!(settled(&points[..1]), single);
     }
 }
