@@ -126,15 +126,16 @@ fn error(request: &Request) -> String {
 
 /// Intersection over union of all masks with the ball's silhouettes; the capture's frames are `frames` of the footage.
 fn overlap(capture: &Capture, frames: std::ops::Range<usize>) -> f64 {
-    overlap_at(capture, &frames.map(place).collect::<Vec<_>>())
+    overlap_at(capture, &frames.map(place).enumerate().collect::<Vec<_>>())
 }
 
-fn overlap_at(capture: &Capture, places: &[f64]) -> f64 {
+/// Intersection over union of the masks of some frames, with the ball's place in each.
+fn overlap_at(capture: &Capture, frames: &[(usize, f64)]) -> f64 {
     let (mut both, mut either) = (0, 0);
     for view in 0..capture.views(Split::Train).len() {
         let index: usize = capture.views(Split::Train)[view].name[4..].parse().unwrap();
-        for (frame, place) in places.iter().enumerate() {
-            let mask = capture.load_mask(Split::Train, view, frame).unwrap().unwrap();
+        for (frame, place) in frames {
+            let mask = capture.load_mask(Split::Train, view, *frame).unwrap().unwrap();
             for (i, found) in mask.data().iter().enumerate() {
                 let (x, y) = ((i % SIZE.width) as u32, (i / SIZE.width) as u32);
                 let truth = on_ball(&camera(index), x, y, *place);
@@ -214,8 +215,23 @@ fn what_hardly_moves_has_fewer_holes() {
     let folder = footage_at(&places);
     let request = Request { only: vec![Step::Pictures, Step::Masks], ..request(&folder) };
     run(&request);
-    let overlap = overlap_at(&Capture::open(&request.out).unwrap(), &places);
+    let frames: Vec<(usize, f64)> = places.into_iter().enumerate().collect();
+    let overlap = overlap_at(&Capture::open(&request.out).unwrap(), &frames);
     assert!(overlap > 0.4, "{overlap}");
+}
+
+/// Backgrounds are learnt from twenty frames; the masks of the others are as good.
+#[test]
+fn frames_of_which_nothing_is_learnt_have_masks() {
+    let places: Vec<f64> = (0..24).map(|frame| -0.7 + 0.06 * frame as f64).collect();
+    let folder = footage_at(&places);
+    let request = Request { only: vec![Step::Pictures, Step::Masks], ..request(&folder) };
+    run(&request);
+    let capture = Capture::open(&request.out).unwrap();
+    let frames: Vec<(usize, f64)> = places.into_iter().enumerate().collect();
+    let (others, samples): (Vec<_>, Vec<_>) = frames.into_iter().partition(|(frame, _)| frame % 6 == 5);
+    let [samples, others] = [samples, others].map(|frames| overlap_at(&capture, &frames));
+    assert!(samples > 0.85 && others > samples - 0.03, "{samples} {others}");
 }
 
 /// Masks that the footage has stay, and the same command goes on.

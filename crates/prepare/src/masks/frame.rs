@@ -1,0 +1,100 @@
+//! The masks of one frame: what differs in each view, what the others say of it, and the cheapest outline around it.
+
+use super::learnt::Learnt;
+use super::regions::{filled, touched_by, without_specks};
+use super::{View, cut, difference, regions};
+use crate::PrepareError;
+use crate::hull::hulls;
+use crate::region::common_region;
+use crate::silhouettes::Silhouette;
+use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_dataset::Capture;
+use rayon::prelude::*;
+
+/// Voxels that so many views see may add foreground to a mask.
+const VIEWS_THAT_ADD: u16 = 4;
+/// Smallest region (of the image) that is kept, and largest hole that is filled.
+const SPECK: f64 = 2e-4;
+const HOLE: f64 = 1e-3;
+/// Largest hole that is filled where other views find most of it possible: a dark hub before a dark road is one, what is seen between an
+/// arm and a hip is not.
+const POSSIBLE_HOLE: f64 = 4e-3;
+
+/// The masks of one frame, in the order of the views.
+pub(super) fn masks_of(
+    capture: &Capture,
+    views: &[View],
+    learnt: &[Option<Learnt>],
+    frame: usize,
+) -> Result<Vec<Mask>, PrepareError> {
+    let load = |view: &View| -> Result<(Camera, ImageRgb8), PrepareError> {
+        Ok((
+            capture.camera(view.split, view.index, frame)?,
+            capture.load_image(view.split, view.index, frame)?,
+        ))
+    };
+    let loaded: Vec<_> = views.par_iter().map(load).collect::<Result<_, _>>()?;
+    let raw: Vec<Option<Vec<f32>>> = loaded
+        .par_iter()
+        .zip(learnt)
+        .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background, l.levels)))
+        .collect();
+    let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(&loaded))
+        .map(|(raw, (camera, _))| raw.as_ref().map(|raw| difference::scores(raw, camera.size())))
+        .collect();
+    let silhouettes: Vec<Silhouette> = loaded
+        .iter()
+        .zip(&scores)
+        .filter_map(|((camera, _), s)| {
+            let mask = difference::foreground(s.as_ref()?, camera.size());
+            Some(Silhouette { camera: *camera, mask })
+        })
+        .collect();
+    let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
+    let refined = |(v, agreed): (usize, &Agreed)| {
+        let (Some(raw), Some(Learnt { background, colours, .. })) = (&raw[v], &learnt[v]) else {
+            return agreed.mask.clone();
+        };
+        let image = &loaded[v].1;
+        let mut votes = cut::votes(raw, image.size());
+        if let Some(colours) = colours {
+            colours.weigh(&mut votes, image, background, &agreed.mask);
+        }
+        cut::add_other_views(&mut votes, &agreed.possible, &agreed.confirmed);
+        let cut = cut::cheapest(&votes, image, background, &agreed.mask);
+        // What colours alone have found is another thing of the same colour.
+        let found = touched_by(&cut, |i| agreed.mask.data()[i] == 1);
+        filled(&without_specks(&found, SPECK, HOLE), POSSIBLE_HOLE, &agreed.possible)
+    };
+    Ok(agreed(&cameras, &scores, &silhouettes).par_iter().enumerate().map(refined).collect())
+}
+
+/// The mask of a view, by what all views say.
+struct Agreed {
+    mask: Mask,
+    /// What no other view denies.
+    possible: Mask,
+    /// What the others see.
+    confirmed: Mask,
+}
+
+/// What a view found itself, and what the others see though the difference is weak here.
+fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Agreed> {
+    let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
+    let region = common_region(&fixed);
+    let [possible, seen] = hulls(silhouettes, region, [1, usize::from(VIEWS_THAT_ADD).min(fixed.len())]);
+    let mut own = silhouettes.iter();
+    let mut mask_of = |camera: &Camera, score: &Option<Vec<f32>>| {
+        let add = seen.seen_by(camera, 0);
+        let Some(score) = score else {
+            return Agreed { mask: add.clone(), possible: add.clone(), confirmed: add };
+        };
+        let own = &own.next().expect("a silhouette per score").mask;
+        let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
+        let data = (0..own.data().len())
+            .map(|i| own.data()[i] | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS)));
+        let mask = Mask::new(camera.size(), data.collect()).expect("one value a pixel");
+        Agreed { mask: without_specks(&mask, SPECK, HOLE), possible: allowed, confirmed: add }
+    };
+    cameras.iter().zip(scores).map(|(c, s)| mask_of(c, s)).collect()
+}
