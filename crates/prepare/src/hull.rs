@@ -90,7 +90,7 @@ impl Hull {
                 data[y * size.width..][span(p.pixel.x, size.width)].fill(1);
             }
         }
-        Mask::new(size, data).expect("one value a pixel")
+        Mask::new(size, data).expect("one value per pixel")
     }
 }
 

@@ -22,7 +22,7 @@ pub(crate) fn read_mask(file: &Path) -> Result<Mask, PrepareError> {
     } else {
         image.into_rgb8().pixels().map(|p| u8::from(p.0 != [0; 3])).collect()
     };
-    Ok(Mask::new(size, data).expect("one value a pixel"))
+    Ok(Mask::new(size, data).expect("one value per pixel"))
 }
 
 fn decode(file: &Path) -> Result<image::DynamicImage, PrepareError> {

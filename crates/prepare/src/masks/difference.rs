@@ -70,7 +70,7 @@ fn is_shadow(here: [f32; 3], there: [f32; 3]) -> bool {
 /// Weak pixels that hang together with strong ones.
 pub(crate) fn foreground(scores: &[f32], size: ImageSize) -> Mask {
     let weak =
-        Mask::new(size, scores.iter().map(|s| u8::from(*s > WEAK)).collect()).expect("one value a pixel");
+        Mask::new(size, scores.iter().map(|s| u8::from(*s > WEAK)).collect()).expect("one value per pixel");
     regions::touched_by(&weak, |i| scores[i] > STRONG)
 }
 

@@ -93,7 +93,7 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
         let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
         let data = (0..own.data().len())
             .map(|i| own.data()[i] | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS)));
-        let mask = Mask::new(camera.size(), data.collect()).expect("one value a pixel");
+        let mask = Mask::new(camera.size(), data.collect()).expect("one value per pixel");
         Agreed { mask: without_specks(&mask, SPECK, HOLE), possible: allowed, confirmed: add }
     };
     cameras.iter().zip(scores).map(|(c, s)| mask_of(c, s)).collect()
