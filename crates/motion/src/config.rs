@@ -65,6 +65,8 @@ pub struct MarkingConfig {
     pub slack: u32,
     /// And share of the views that see it.
     pub slack_share: f64,
+    /// The same share where a frame after the first removes what its masks lack (docs/adr/0096).
+    pub validation_share: f64,
     /// Whether views that do not see a Gaussian disagree.
     pub all_views: bool,
     /// Whether Gaussians outside the masks of t are placed once more by their neighbours' motion, many that are lost at once wait for the next frame,
@@ -87,6 +89,7 @@ impl Default for MarkingConfig {
             dilation: 2,
             slack: 0,
             slack_share: 0.2,
+            validation_share: 0.5,
             all_views: false,
             second_chance: true,
             shown_share: 0.25,
@@ -104,6 +107,7 @@ impl MarkingConfig {
             dilation: 0,
             slack: 2,
             slack_share: 0.0,
+            validation_share: 0.0,
             second_chance: false,
             shown_share: 0.0,
             every_frame: true,
@@ -117,9 +121,14 @@ impl MarkingConfig {
         (self.dilation, self.slack(), self.shown_share) == (other.dilation, other.slack(), other.shown_share)
     }
 
-    /// The views that may disagree.
+    /// The views that may disagree with a Gaussian that is to be dynamic.
     pub fn slack(&self) -> Slack {
         Slack { views: self.slack, share: self.slack_share, all_views: self.all_views }
+    }
+
+    /// The views that may disagree with one that is, before it is removed.
+    pub fn validation_slack(&self) -> Slack {
+        Slack { share: self.validation_share, ..self.slack() }
     }
 }
 

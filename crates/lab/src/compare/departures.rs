@@ -9,7 +9,7 @@ pub(super) const WITHOUT: &str = "without:";
 /// Settings that mean nothing without each other.
 const TOGETHER: [&[&str]; 5] = [
     &["dynamic.iterations", "dynamic.natural_step"],
-    &["marking.slack", "marking.slack_share"],
+    &["marking.slack", "marking.slack_share", "marking.validation_share"],
     &["triangulation.collinear_degrees", "triangulation.collinear_min_sigma"],
     &["triangulation.depth_weighting", "triangulation.refine"],
     &["fusion.q_floor_px", "fusion.structure"],

@@ -51,6 +51,7 @@ const RANGES: &[(&str, Range)] = &[
     ("first_frame.dropout", closed(0.0, 0.9)),
     ("marking.dilation", DILATION),
     ("marking.slack_share", SHARE),
+    ("marking.validation_share", SHARE),
     ("marking.shown_share", SHARE),
     ("marking.covering_alpha", SHARE),
     ("marking.loss_warning", SHARE),
