@@ -95,13 +95,14 @@ impl Hull {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::region::common_region;
     use ffgs_core::{ImageSize, Intrinsics};
     use glam::DMat4;
 
-    fn ring(count: usize) -> Vec<Camera> {
+    /// Cameras around (1, 0, 0.3) m.
+    pub(crate) fn ring(count: usize) -> Vec<Camera> {
         let size = ImageSize { width: 160, height: 120 };
         let intrinsics = Intrinsics { fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
         let pose = |i: usize| {
@@ -117,7 +118,8 @@ mod tests {
         (0..count).map(|i| Camera::new(intrinsics, pose(i), size).unwrap()).collect()
     }
 
-    fn ball(camera: &Camera, centre: DVec3, radius: f64) -> Mask {
+    /// The silhouette of a ball.
+    pub(crate) fn ball(camera: &Camera, centre: DVec3, radius: f64) -> Mask {
         let size = camera.size();
         let inside = |i: usize| {
             let pixel = glam::DVec2::new((i % size.width) as f64 + 0.5, (i / size.width) as f64 + 0.5);

@@ -10,9 +10,12 @@ use crate::silhouettes::Silhouette;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::Capture;
 use rayon::prelude::*;
+use std::ops::RangeInclusive;
 
 /// Voxels that so many views see may add foreground to a mask.
-const VIEWS_THAT_ADD: u16 = 4;
+const VIEWS_THAT_ADD: usize = 4;
+/// Of so many views none may deny a voxel, so each asks the others alone: it would deny what it misses itself. Two others confirm too much.
+const FEW_VIEWS: RangeInclusive<usize> = 4..=5;
 /// Smallest region (of the image) that is kept, and largest hole that is filled.
 const SPECK: f64 = 2e-4;
 const HOLE: f64 = 1e-3;
@@ -82,14 +85,19 @@ struct Agreed {
 fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhouette]) -> Vec<Agreed> {
     let fixed: Vec<Camera> = silhouettes.iter().map(|s| s.camera).collect();
     let region = common_region(&fixed);
-    let [possible, seen] = hulls(silhouettes, region, [1, usize::from(VIEWS_THAT_ADD).min(fixed.len())]);
-    let mut own = silhouettes.iter();
+    let all = hulls(silhouettes, region, [1, VIEWS_THAT_ADD.min(silhouettes.len())]);
+    let mut own = 0..silhouettes.len();
     let mut mask_of = |camera: &Camera, score: &Option<Vec<f32>>| {
-        let add = seen.seen_by(camera, 0);
         let Some(score) = score else {
+            let add = all[1].seen_by(camera, 0);
             return Agreed { mask: add.clone(), possible: add.clone(), confirmed: add };
         };
-        let own = &own.next().expect("a silhouette per score").mask;
+        let own = own.next().expect("a silhouette per score");
+        let others = FEW_VIEWS
+            .contains(&silhouettes.len())
+            .then(|| hulls(&without(silhouettes, own), region, [1, VIEWS_THAT_ADD - 1]));
+        let [possible, seen] = others.as_ref().unwrap_or(&all);
+        let (own, add) = (&silhouettes[own].mask, seen.seen_by(camera, 0));
         let allowed = possible.seen_by(camera, 1).dilated(regions::radius(camera.size()));
         let data = (0..own.data().len())
             .map(|i| own.data()[i] | (add.data()[i] & u8::from(score[i] > difference::WITH_OTHERS)));
@@ -97,4 +105,45 @@ fn agreed(cameras: &[Camera], scores: &[Option<Vec<f32>>], silhouettes: &[Silhou
         Agreed { mask: without_specks(&mask, SPECK, HOLE), possible: allowed, confirmed: add }
     };
     cameras.iter().zip(scores).map(|(c, s)| mask_of(c, s)).collect()
+}
+
+/// All but one.
+fn without(silhouettes: &[Silhouette], one: usize) -> Vec<Silhouette> {
+    [&silhouettes[..one], &silhouettes[one + 1..]].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hull::tests::{ball, ring};
+    use glam::DVec3;
+
+    /// Shares of the left half of a ball that each view finds possible, and that the others confirm: the first view of so many misses it.
+    fn left_half(views: usize) -> Vec<[f64; 2]> {
+        let cameras = ring(views);
+        let whole: Vec<Mask> = cameras.iter().map(|c| ball(c, DVec3::new(1.0, 0.0, 0.3), 0.3)).collect();
+        let left = |mask: &Mask, i: usize| mask.data()[i] == 1 && i % mask.size().width < 80;
+        let found = |(v, mask): (usize, &Mask)| {
+            let data = (0..mask.data().len()).map(|i| mask.data()[i] * u8::from(v > 0 || !left(mask, i)));
+            Silhouette { camera: cameras[v], mask: Mask::new(mask.size(), data.collect()).unwrap() }
+        };
+        let silhouettes: Vec<Silhouette> = whole.iter().enumerate().map(found).collect();
+        let scores: Vec<_> = whole.iter().map(|mask| Some(vec![0.0; mask.data().len()])).collect();
+        let share = |(agreed, whole): (&Agreed, &Mask)| {
+            let half: Vec<usize> = (0..whole.data().len()).filter(|&i| left(whole, i)).collect();
+            [&agreed.possible, &agreed.confirmed]
+                .map(|m| half.iter().filter(|&&i| m.data()[i] == 1).count() as f64 / half.len() as f64)
+        };
+        agreed(&cameras, &scores, &silhouettes).iter().zip(&whole).map(share).collect()
+    }
+
+    #[test]
+    fn what_one_view_of_four_misses_the_three_others_confirm() {
+        for views in [4, 5, 6] {
+            let [possible, confirmed] = left_half(views)[0];
+            assert!(possible > 0.95 && confirmed > 0.95, "{views} views: {possible}, {confirmed}");
+        }
+        let [_, confirmed] = left_half(3)[0];
+        assert!(confirmed < 0.5, "two others confirm little: {confirmed}");
+    }
 }
