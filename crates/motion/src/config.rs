@@ -65,7 +65,7 @@ pub struct MarkingConfig {
     pub slack: u32,
     /// And share of the views that see it.
     pub slack_share: f64,
-    /// The same share where a frame after the first removes what its masks lack (docs/adr/0096).
+    /// In place of that share where a frame after the first removes moving Gaussians that its masks lack (docs/adr/0096).
     pub validation_share: f64,
     /// Whether views that do not see a Gaussian disagree.
     pub all_views: bool,

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// One view in so many may deny a voxel: masks have holes.
-const DENIALS_PER_VIEW: usize = 6;
+pub(crate) const DENIALS_PER_VIEW: usize = 6;
 /// Voxels along the side of a block.
 const SIDE: u32 = 8;
 /// Positions are rounded by less (px).

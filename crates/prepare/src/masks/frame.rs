@@ -4,18 +4,20 @@ use super::learnt::Learnt;
 use super::regions::{filled, touched_by, without_specks};
 use super::{View, cut, difference, regions};
 use crate::PrepareError;
+use crate::blocks::DENIALS_PER_VIEW;
 use crate::hull::hulls;
 use crate::region::common_region;
 use crate::silhouettes::Silhouette;
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::Capture;
 use rayon::prelude::*;
-use std::ops::RangeInclusive;
+use std::ops::Range;
 
 /// Voxels that so many views see may add foreground to a mask.
 const VIEWS_THAT_ADD: usize = 4;
-/// Of so many views none may deny a voxel, so each asks the others alone: it would deny what it misses itself. Two others confirm too much.
-const FEW_VIEWS: RangeInclusive<usize> = 4..=5;
+/// Of so few views none may deny a voxel. With its own silhouette in the hull a view would deny what its mask misses, so each asks the others
+/// alone. With fewer than four, two others would confirm too much.
+const FEW_VIEWS: Range<usize> = VIEWS_THAT_ADD..DENIALS_PER_VIEW;
 /// Smallest region (of the image) that is kept, and largest hole that is filled.
 const SPECK: f64 = 2e-4;
 const HOLE: f64 = 1e-3;
