@@ -8,7 +8,7 @@ use crate::constants::MIN_TRANSMITTANCE;
 use crate::coverage::cover;
 use crate::pinhole::PinholeF32;
 use crate::projection::{Splat, active_degree, view_colour};
-use crate::tape::{Append, ChunkSplats, RenderTape, TilePixels};
+use crate::tape::{ChunkSplats, RenderTape, TilePixels, append};
 use crate::tile_lists::Entry;
 use crate::tiles::{TileGrid, TileMask};
 use crate::view::{RenderOptions, View};
@@ -65,7 +65,7 @@ impl CpuRasterizer {
     ) {
         tape.grid = TileGrid::new(view.camera.size());
         self.project(layers, bounds, view, tape);
-        tape.lists.finish(&tape.splats, &tape.spans, tape.grid, view.tiles);
+        tape.lists.deal(&tape.splats, &tape.spans, tape.grid, view.tiles);
         tape.pixels.resize_with(tape.grid.count(), TilePixels::default);
     }
 
@@ -84,11 +84,9 @@ impl CpuRasterizer {
             grid: tape.grid,
             mask: view.tiles,
         };
-        let RenderTape { chunks: [ready, next], splats, spans, lists, grid, .. } = tape;
+        let RenderTape { chunks: [ready, next], splats, spans, grid, .. } = tape;
         splats.clear();
         spans.clear();
-        lists.begin(*grid);
-        let mut append = Append { splats, spans, lists, grid: *grid, mask: view.tiles };
         let mut chunks = chunks_of(layers);
         if let Some(bounds) = bounds {
             let in_sight = bounds.in_sight(&shared.camera, shared.size, *grid, view.tiles);
@@ -101,11 +99,11 @@ impl CpuRasterizer {
         let mut waiting = 0;
         for chunks in chunks.chunks(group) {
             let (done, free) = (&ready[..waiting], &mut next[..chunks.len()]);
-            rayon::join(|| append.all(done), || project_chunks(&shared, chunks, free));
+            rayon::join(|| append(done, splats, spans), || project_chunks(&shared, chunks, free));
             std::mem::swap(ready, next);
             waiting = chunks.len();
         }
-        append.all(&ready[..waiting]);
+        append(&ready[..waiting], splats, spans);
     }
 }
 

@@ -4,7 +4,7 @@ use crate::blend::TilePlane;
 use crate::constants::{AREA, ENTRY, TILE};
 use crate::projection::Splat;
 use crate::tile_lists::TileLists;
-use crate::tiles::{Span, TileGrid, TileMask};
+use crate::tiles::{Span, TileGrid};
 use ffgs_core::{ImageSize, PlanarImage};
 use std::ops::Range;
 
@@ -29,7 +29,7 @@ pub(crate) struct ChunkSplats {
 }
 
 /// A rendered view. Reuse one per view size: nothing is allocated once its buffers have grown.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct RenderTape {
     pub(crate) image: PlanarImage,
     pub(crate) transmittance: Vec<f32>,
@@ -98,28 +98,13 @@ impl RenderTape {
     }
 }
 
-/// The parts of a tape that grow while chunks are appended.
-pub(crate) struct Append<'a> {
-    pub(crate) splats: &'a mut Vec<Splat>,
-    pub(crate) spans: &'a mut Vec<Span>,
-    pub(crate) lists: &'a mut TileLists,
-    pub(crate) grid: TileGrid,
-    pub(crate) mask: Option<&'a TileMask>,
-}
-
-impl Append<'_> {
-    /// Appends the splats of some chunks in their order, and counts them by tile.
-    pub(crate) fn all(&mut self, chunks: &[ChunkSplats]) {
-        for chunk in chunks {
-            let first = self.spans.len() as u32;
-            self.spans.extend_from_slice(&chunk.spans);
-            for splat in &chunk.splats {
-                let (start, count) = splat.spans;
-                let spans = &chunk.spans[start as usize..(start + count) as usize];
-                self.lists.count(spans, self.grid, self.mask);
-                self.splats.push(Splat { spans: (start + first, count), ..*splat });
-            }
-        }
+/// Appends the splats and spans of some chunks in their order.
+pub(crate) fn append(chunks: &[ChunkSplats], splats: &mut Vec<Splat>, spans: &mut Vec<Span>) {
+    for chunk in chunks {
+        let first = spans.len() as u32;
+        spans.extend_from_slice(&chunk.spans);
+        let moved = |splat: &Splat| Splat { spans: (splat.spans.0 + first, splat.spans.1), ..*splat };
+        splats.extend(chunk.splats.iter().map(moved));
     }
 }
 

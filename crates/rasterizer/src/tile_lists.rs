@@ -1,10 +1,18 @@
 //! The depth-ordered list of every tile.
 //!
-//! Splats come in the order of their Gaussians. One pass counts them by tile while the next ones are projected, a second
-//! bins them to their tiles, and each tile sorts its own list, which fits a cache and needs no other thread.
+//! Splats come in the order of their Gaussians and are dealt in parts. A first pass counts the splats of each part by tile, which
+//! gives every part places of its own in every list; a second writes them there. Then each tile sorts its list, which fits a cache
+//! and needs no other thread. The lists do not depend on how many parts there are.
 
 use crate::projection::Splat;
 use crate::tiles::{Span, TileGrid, TileMask, for_each_tile};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// Parts per thread: enough to share out evenly.
+const PARTS_PER_THREAD: usize = 4;
+/// Splats below which a part costs more than it gains.
+const LEAST_PART: usize = 2048;
 
 /// One splat in a tile's list. Until the list is sorted it holds depth and place: among splats of one depth, the order
 /// of the Gaussians decides.
@@ -30,7 +38,7 @@ impl Entry {
 }
 
 /// Depth-ordered splat lists of all tiles.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct TileLists {
     /// Tile `t` owns entries `starts[t]..starts[t + 1]`.
     pub(crate) starts: Vec<u32>,
@@ -40,9 +48,18 @@ pub(crate) struct TileLists {
     pub(crate) entry_starts: Vec<u32>,
     /// Places of each splat in the lists of its tiles, in the order of its spans.
     pub(crate) entries: Vec<u32>,
-    /// Splat at each place.
-    splat_of: Vec<u32>,
+    /// Depth and splat at each place. No two threads write to one place, which the compiler cannot know.
+    dealt: Vec<AtomicU64>,
+    parts: Vec<Part>,
+}
+
+/// Consecutive splats that one thread deals.
+#[derive(Debug, Default)]
+struct Part {
+    /// Number of its splats in every tile; then the place of the next one there.
     cursors: Vec<u32>,
+    /// Number of its entries.
+    total: u32,
 }
 
 impl TileLists {
@@ -51,68 +68,115 @@ impl TileLists {
         self.slots.len()
     }
 
-    /// Forgets all splats.
-    pub(crate) fn begin(&mut self, grid: TileGrid) {
-        self.starts.clear();
-        self.starts.resize(grid.count() + 1, 0);
-        self.entry_starts.clear();
-        self.entry_starts.push(0);
+    /// Deals splats to the computed tiles among their `spans`, and sorts every tile by depth.
+    pub(crate) fn deal(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
+        let deck = Deck { spans, grid, mask };
+        let size = splats.len().div_ceil(PARTS_PER_THREAD * rayon::current_num_threads()).max(LEAST_PART);
+        self.count(splats, size, deck);
+        self.assign_places(grid);
+        self.place(splats, size, deck);
+        self.sort();
     }
 
-    /// Counts the next splat, given its spans.
-    #[inline(always)]
-    pub(crate) fn count(&mut self, spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
-        let mut total = self.entry_starts[self.entry_starts.len() - 1];
-        for_each_tile(spans, grid, mask, |tile| {
-            self.starts[tile + 1] += 1;
-            total += 1;
-        });
-        self.entry_starts.push(total);
-    }
-
-    /// Bins the splats that were counted, and sorts every tile by depth.
-    pub(crate) fn finish(
-        &mut self,
-        splats: &[Splat],
-        spans: &[Span],
-        grid: TileGrid,
-        mask: Option<&TileMask>,
-    ) {
-        for tile in 0..grid.count() {
-            self.starts[tile + 1] += self.starts[tile];
-        }
-        self.bin(splats, spans, grid, mask);
-        let Self { starts, slots, splat_of, .. } = self;
-        for_each_tile_slice(starts, slots, &|tile, list| {
-            list.sort_unstable();
-            let first = starts[tile];
-            for entry in list {
-                let place = entry.place() as u32;
-                *entry = Entry::new(splat_of[place as usize], place - first);
+    /// Counts the splats of every part by tile; `entry_starts` count from the part's first entry.
+    fn count(&mut self, splats: &[Splat], size: usize, deck: Deck) {
+        let Self { entry_starts, parts, .. } = self;
+        parts.resize_with(splats.len().div_ceil(size), Part::default);
+        entry_starts.clear();
+        entry_starts.resize(splats.len() + 1, 0);
+        let starts = entry_starts[..splats.len()].par_chunks_mut(size);
+        parts.par_iter_mut().zip(splats.par_chunks(size)).zip(starts).for_each(|((part, splats), starts)| {
+            let Part { cursors, total } = part;
+            cursors.clear();
+            cursors.resize(deck.grid.count(), 0);
+            *total = 0;
+            for (splat, start) in splats.iter().zip(starts) {
+                *start = *total;
+                deck.for_each_tile(splat, |tile| {
+                    cursors[tile] += 1;
+                    *total += 1;
+                });
             }
         });
     }
 
-    fn bin(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
-        let total = self.starts[grid.count()] as usize;
-        self.slots.resize(total, Entry::default());
-        self.splat_of.resize(total, 0);
-        self.entries.resize(total, 0);
-        self.cursors.clear();
-        self.cursors.extend_from_slice(&self.starts[..grid.count()]);
-        let mut rank = 0;
-        for (slot, splat) in splats.iter().enumerate() {
-            let (start, count) = (splat.spans.0 as usize, splat.spans.1 as usize);
-            for_each_tile(&spans[start..start + count], grid, mask, |tile| {
-                let place = self.cursors[tile];
-                self.cursors[tile] += 1;
-                // Depths are positive: their bits compare as they do.
-                self.slots[place as usize] = Entry::new(splat.depth.to_bits(), place);
-                self.splat_of[place as usize] = slot as u32;
-                self.entries[rank] = place;
-                rank += 1;
-            });
+    /// Where every tile starts, and where every part starts within it.
+    fn assign_places(&mut self, grid: TileGrid) {
+        self.starts.clear();
+        let mut next = 0;
+        for tile in 0..grid.count() {
+            self.starts.push(next);
+            for part in &mut self.parts {
+                next += std::mem::replace(&mut part.cursors[tile], next);
+            }
         }
+        self.starts.push(next);
+    }
+
+    /// Writes every splat to its places.
+    fn place(&mut self, splats: &[Splat], size: usize, deck: Deck) {
+        let Self { starts, slots, entry_starts, entries, dealt, parts } = self;
+        let total = starts[deck.grid.count()];
+        slots.resize(total as usize, Entry::default());
+        entries.resize(total as usize, 0);
+        dealt.resize_with(total as usize, AtomicU64::default);
+        entry_starts[splats.len()] = total;
+        let (mut first, mut rest) = (0, &mut entries[..]);
+        let mut share = |part: &Part| {
+            let own = rest.split_off_mut(..part.total as usize).unwrap_or_default();
+            first += part.total;
+            (first - part.total, own)
+        };
+        let shares: Vec<_> = parts.iter().map(&mut share).collect();
+        let starts = entry_starts[..splats.len()].par_chunks_mut(size);
+        let parts = parts.par_iter_mut().zip(splats.par_chunks(size)).zip(starts).zip(shares).enumerate();
+        parts.for_each(|(number, (((part, splats), starts), (first, entries)))| {
+            let mut entries = entries.iter_mut();
+            for (k, (splat, start)) in splats.iter().zip(starts).enumerate() {
+                *start += first;
+                // Depths are positive: their bits compare as they do.
+                let value = Entry::new(splat.depth.to_bits(), (number * size + k) as u32).0;
+                deck.for_each_tile(splat, |tile| {
+                    let place = &mut part.cursors[tile];
+                    dealt[*place as usize].store(value, Relaxed);
+                    entries.next().into_iter().for_each(|entry| *entry = *place);
+                    *place += 1;
+                });
+            }
+        });
+    }
+
+    /// Sorts every tile: among splats of one depth, the order of the Gaussians decides.
+    fn sort(&mut self) {
+        let Self { starts, slots, dealt, .. } = self;
+        for_each_tile_slice(starts, slots, &|tile, list| {
+            let dealt = &dealt[starts[tile] as usize..starts[tile + 1] as usize];
+            let (depth, slot) = (|v: u64| (v >> 32) as u32, |v: u64| v as u32);
+            for (place, entry) in list.iter_mut().enumerate() {
+                *entry = Entry::new(depth(dealt[place].load(Relaxed)), place as u32);
+            }
+            list.sort_unstable();
+            for entry in list {
+                let place = entry.place();
+                *entry = Entry::new(slot(dealt[place].load(Relaxed)), place as u32);
+            }
+        });
+    }
+}
+
+/// Which tiles splats are dealt to.
+#[derive(Clone, Copy)]
+struct Deck<'a> {
+    spans: &'a [Span],
+    grid: TileGrid,
+    mask: Option<&'a TileMask>,
+}
+
+impl Deck<'_> {
+    #[inline(always)]
+    fn for_each_tile(self, splat: &Splat, visit: impl FnMut(usize)) {
+        let (start, count) = (splat.spans.0 as usize, splat.spans.1 as usize);
+        for_each_tile(&self.spans[start..start + count], self.grid, self.mask, visit);
     }
 }
 
@@ -152,10 +216,9 @@ mod tests {
     use ffgs_core::ImageSize;
 
     /// Round splats of radius 20 px at scattered places; few depths, so that many are equal.
-    fn scattered(grid: TileGrid, lists: &mut TileLists) -> (Vec<Splat>, Vec<Span>) {
+    fn scattered(grid: TileGrid, number: u32) -> (Vec<Splat>, Vec<Span>) {
         let (mut splats, mut spans) = (Vec::new(), Vec::new());
-        lists.begin(grid);
-        for i in 0..500_u32 {
+        for i in 0..number {
             let at = |k: u32| (i.wrapping_mul(2_654_435_761).wrapping_add(k) >> 7) % 160;
             let mut splat = Splat {
                 mean: [at(0) as f32, at(99_991) as f32 * 0.6],
@@ -167,9 +230,7 @@ mod tests {
                 ..Splat::default()
             };
             let extent = Extent { covariance: [100.0, 0.0], half_width: 20.0 };
-            let first = spans.len();
             assert!(cover(&mut splat, &extent, grid, None, &mut spans));
-            lists.count(&spans[first..], grid, None);
             splats.push(splat);
         }
         (splats, spans)
@@ -179,8 +240,16 @@ mod tests {
     fn lists_run_front_to_back_and_every_splat_finds_its_places() {
         let grid = TileGrid::new(ImageSize { width: 160, height: 96 });
         let mut lists = TileLists::default();
-        let (splats, spans) = scattered(grid, &mut lists);
-        lists.finish(&splats, &spans, grid, None);
+        // The second time in several parts, in the memory of the first.
+        for number in [500, 3 * LEAST_PART as u32 + 7] {
+            let (splats, spans) = scattered(grid, number);
+            lists.deal(&splats, &spans, grid, None);
+            check(&lists, &splats, &spans, grid);
+        }
+        assert!(lists.parts.len() > 1);
+    }
+
+    fn check(lists: &TileLists, splats: &[Splat], spans: &[Span], grid: TileGrid) {
         let mut at_place = vec![usize::MAX; lists.len()];
         for tile in 0..grid.count() {
             let (start, end) = (lists.starts[tile] as usize, lists.starts[tile + 1] as usize);

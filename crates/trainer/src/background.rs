@@ -3,6 +3,7 @@
 
 use crate::{LearningRates, SkyView, TexelGradients};
 use ffgs_core::{Camera, ImageSize, Mask, PlanarImage, SkyCube, TrainingView};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// How the static lane finds its colours.
@@ -135,26 +136,16 @@ impl SkyBehind {
         &self.image
     }
 
-    /// The same, to be overwritten by the derivative of a loss.
-    pub(crate) fn image_mut(&mut self) -> &mut PlanarImage {
-        &mut self.image
-    }
-
     /// Draws what `camera` sees, and shows it.
     pub(crate) fn render(&mut self, sky: &SkyCube, camera: &Camera) -> &PlanarImage {
         self.aim(sky, camera);
         &self.image
     }
 
-    /// Adds the derivative by the texels, given that by the pixels of the last camera.
-    pub(crate) fn backward(&self, gradient: &PlanarImage, out: &mut TexelGradients) {
+    /// Adds the derivative by the texels, given that by each pixel of the last camera.
+    pub(crate) fn backward(&self, gradient: impl Fn(usize) -> Vec3 + Sync, out: &mut TexelGradients) {
         if let Some(view) = &self.view {
             view.backward(gradient, out);
         }
-    }
-
-    /// Likewise, given in the place of the image.
-    pub(crate) fn backward_of_image(&self, out: &mut TexelGradients) {
-        self.backward(&self.image, out);
     }
 }

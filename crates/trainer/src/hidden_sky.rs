@@ -2,9 +2,10 @@
 //! (docs/adr/0085-behind-holes-is-what-photographs-show.md).
 
 use crate::constants::MIN_THROUGH;
-use crate::sky::{SkyView, TexelGradients, sky_colour, texel_direction};
+use crate::sky::{SkyView, sky_colour, texel_direction};
 use crate::sky_lane::render_alone;
-use ffgs_core::{Gaussians, PlanarImage, SkyCube, TrainingView};
+use crate::texel_gradients::TexelGradients;
+use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_rasterizer::RenderTape;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -37,8 +38,8 @@ fn seen(layer: &Gaussians, views: &[TrainingView], face_size: usize) -> Vec<f32>
         let through = |pixel: usize| tape.transmittance()[pixel];
         let share = |pixel: usize| if through(pixel) < MIN_THROUGH { 0.0 } else { through(pixel).powi(2) };
         let seen = SkyView::new(&view.camera, face_size);
-        seen.backward(&picture(view, |pixel| [share(pixel); 3]), &mut open);
-        seen.backward(&picture(view, |_| [1.0; 3]), &mut all);
+        seen.backward(|pixel| Vec3::splat(share(pixel)), &mut open);
+        seen.backward(|_| Vec3::ONE, &mut all);
         for (most, (open, all)) in most.iter_mut().zip(open.sums.iter().zip(&all.sums)) {
             *most = most.max(open[0] / all[0].max(f32::MIN_POSITIVE));
         }
@@ -75,9 +76,8 @@ fn shown_by_direction(face_size: usize, views: &[TrainingView]) -> Vec<Shown> {
     for view in views {
         let seen = SkyView::new(&view.camera, face_size);
         let still = |pixel: usize| f32::from(u8::from(view.mask.data()[pixel] == 0));
-        let colour = |pixel: usize| view.image.pixel(pixel).map(|c| c * still(pixel));
-        seen.backward(&picture(view, colour), &mut colours);
-        seen.backward(&picture(view, |pixel| [still(pixel); 3]), &mut pixels);
+        seen.backward(|pixel| still(pixel) * Vec3::from(view.image.pixel(pixel)), &mut colours);
+        seen.backward(|pixel| Vec3::splat(still(pixel)), &mut pixels);
     }
     let shown = |i: usize| Shown {
         direction: texel_direction(face_size, i),
@@ -103,13 +103,6 @@ fn painted(face_size: usize, colour: impl Fn(usize) -> [f32; 3] + Sync) -> SkyCu
     let mut cube = SkyCube::filled(face_size, [0.0; 3]);
     cube.texels.par_iter_mut().enumerate().for_each(|(i, texel)| *texel = colour(i));
     cube
-}
-
-/// A picture of a view's size, with the colours of its pixels.
-fn picture(view: &TrainingView, colour: impl Fn(usize) -> [f32; 3]) -> PlanarImage {
-    let mut out = PlanarImage::zeros(view.camera.size());
-    (0..view.camera.size().pixels()).for_each(|pixel| out.set_pixel(pixel, colour(pixel)));
-    out
 }
 
 #[cfg(test)]

@@ -31,6 +31,7 @@ mod sky;
 mod sky_lane;
 mod static_lane;
 mod subset;
+mod texel_gradients;
 mod view;
 
 pub use adam::{Adam, AdamVec, Columns, Update, bias_corrections};
@@ -60,7 +61,8 @@ pub use prior::{Drift, KINDS, Kind, Prior};
 pub use rates::{LearningRates, decay};
 pub use resolution::ResolutionConfig;
 pub use schedule::{Epochs, Schedule};
-pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, TexelGradients, sky_picture};
+pub use sky::{SKY_DOUBT, SKY_LANE_DOUBT, SkyView, sky_picture};
 pub use sky_lane::{shows_sky, train_sky};
 pub use static_lane::{ColourVariance, StaticColours, StaticLane, StaticTargets};
+pub use texel_gradients::TexelGradients;
 pub use view::{Progress, camera_extent};

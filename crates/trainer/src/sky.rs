@@ -4,6 +4,7 @@
 //! shared by two faces.
 
 use crate::constants::MIN_THROUGH;
+use crate::texel_gradients::TexelGradients;
 use ffgs_core::kernel::{Kernel, dispatch};
 use ffgs_core::{Camera, ImageSize, PlanarImage, SkyCube};
 use glam::{DVec3, Vec3};
@@ -51,40 +52,6 @@ impl Sample {
             (first + row, below * (1.0 - right)),
             (first + row + column, below * right),
         ]
-    }
-}
-
-/// Derivatives by the texels, and which texels have any: those to hand to a sparse Adam step.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TexelGradients {
-    /// Sum of derivatives of each texel, (6 * `face_size`^2).
-    pub sums: Vec<[f32; 3]>,
-    /// Whether a texel received any.
-    pub touched: Vec<bool>,
-    list: Vec<u32>,
-}
-
-impl TexelGradients {
-    /// All zero, for a cube of so many texels.
-    pub fn new(texels: usize) -> Self {
-        Self { sums: vec![[0.0; 3]; texels], touched: vec![false; texels], list: Vec::new() }
-    }
-
-    /// Back to zero, at a cost of what was touched.
-    pub fn clear(&mut self) {
-        for texel in self.list.drain(..) {
-            self.sums[texel as usize] = [0.0; 3];
-            self.touched[texel as usize] = false;
-        }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, texel: usize, gradient: Vec3) {
-        if !self.touched[texel] {
-            self.touched[texel] = true;
-            self.list.push(texel as u32);
-        }
-        self.sums[texel] = (Vec3::from(self.sums[texel]) + gradient).to_array();
     }
 }
 
@@ -148,26 +115,15 @@ impl SkyView {
             });
     }
 
-    /// Adds the gradient by the texels to `out` (of 6 * `face_size`^2 texels), given the gradient by the pixels of
-    /// [`SkyView::render`] (that by the composite times the transmittance). Serial, so that the order of sums is fixed.
+    /// Adds the gradient by the texels to `out` (of 6 * `face_size`^2 texels), given that by each pixel of [`SkyView::render`]
+    /// (that by the composite times the transmittance).
     ///
     /// # Panics
-    /// When a size does not match.
-    pub fn backward(&self, pixel_gradient: &PlanarImage, out: &mut TexelGradients) {
-        assert_eq!(pixel_gradient.size(), self.size, "gradient size");
+    /// When the number of texels does not match.
+    pub fn backward(&self, gradient: impl Fn(usize) -> Vec3 + Sync, out: &mut TexelGradients) {
         assert_eq!(out.sums.len(), 6 * self.face_size * self.face_size, "texels");
-        let [red, green, blue] = [0, 1, 2].map(|c| pixel_gradient.plane(c));
-        for (i, sample) in self.samples.iter().enumerate() {
-            let gradient = Vec3::new(red[i], green[i], blue[i]);
-            if gradient == Vec3::ZERO {
-                continue;
-            }
-            for (texel, weight) in sample.shares(self.face_size) {
-                if weight > 0.0 {
-                    out.add(texel, weight * gradient);
-                }
-            }
-        }
+        let shares = |pixel: usize| self.samples[pixel].shares(self.face_size);
+        out.add(self.samples.len(), gradient, shares);
     }
 }
 
@@ -331,7 +287,7 @@ mod tests {
         let mut weights = PlanarImage::zeros(SIZE);
         weights.data_mut().iter_mut().enumerate().for_each(|(i, w)| *w = (i as f32 * 0.37).sin());
         let mut gradient = TexelGradients::new(cube.texels.len());
-        view.backward(&weights, &mut gradient);
+        view.backward(|pixel| weights.pixel(pixel).into(), &mut gradient);
         let mut image = PlanarImage::zeros(SIZE);
         let mut objective = |cube: &SkyCube| -> f64 {
             view.render(cube, &mut image);
@@ -345,7 +301,5 @@ mod tests {
             assert!((difference - f64::from(gradient.sums[t][1])).abs() < 1e-4, "texel {t}");
             assert_eq!(gradient.touched[t], gradient.sums[t] != [0.0; 3], "texel {t}");
         }
-        gradient.clear();
-        assert_eq!(gradient, TexelGradients::new(cube.texels.len()));
     }
 }

@@ -7,6 +7,7 @@ use crate::sky::sky_share;
 use crate::{AdamVec, SKY_DOUBT, TexelGradients, Update};
 use ffgs_core::{PlanarImage, SkyCube};
 use ffgs_rasterizer::PixelGradients;
+use glam::Vec3;
 
 /// [`crate::Around`] with the view at hand.
 pub(super) enum Surrounding<'a> {
@@ -54,9 +55,8 @@ impl Surrounding<'_> {
         }
     }
 
-    /// One step of the sky, if it is trained. `gradient` = derivative by the image, which is overwritten; `through` =
-    /// transmittance of the layer.
-    pub(crate) fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
+    /// One step of the sky, if it is trained. `gradient` = derivative by the image; `through` = transmittance of the layer.
+    pub(crate) fn step(&mut self, gradient: &PlanarImage, through: &[f32]) {
         if let Self::Trained(sky) = self {
             sky.step(gradient, through);
         }
@@ -86,13 +86,12 @@ impl<'a> TrainedSky<'a> {
 
     /// Sparse in the texels that the view sees. The transmittance enters twice: the derivative holds it once, and the error
     /// of a hidden pixel is not the sky's.
-    fn step(&mut self, gradient: &mut PlanarImage, through: &[f32]) {
-        for plane in gradient.data_mut().chunks_exact_mut(through.len()) {
-            plane.iter_mut().zip(through).for_each(|(g, &t)| *g *= t * sky_share(t));
-        }
+    fn step(&mut self, gradient: &PlanarImage, through: &[f32]) {
+        let share = |pixel: usize| through[pixel] * sky_share(through[pixel]);
+        let derivative = |pixel: usize| share(pixel) * Vec3::from(gradient.pixel(pixel));
         let doubt = SKY_DOUBT / (3 * through.len()) as f32;
         self.gradients.clear();
-        self.behind.backward(gradient, &mut self.gradients);
+        self.behind.backward(derivative, &mut self.gradients);
         let TexelGradients { sums, touched, .. } = &self.gradients;
         let texels = self.sky.texels.as_flattened_mut();
         self.adam.step(texels, sums.as_flattened(), (self.rate, doubt), Update::Touched(touched));

@@ -82,7 +82,7 @@ impl<'a> CpuLayer<'a> {
             let update = if self.coasts { Update::Coasting(touched) } else { Update::Touched(touched) };
             self.adam.step(self.layer, gradient, rates, update);
         }
-        self.around.step(&mut self.pixel_gradient, self.tape.transmittance());
+        self.around.step(&self.pixel_gradient, self.tape.transmittance());
         if let Some(sums) = &mut self.sums {
             sums.add(&self.gradients.mean2d_norm, touched);
         }

@@ -7,6 +7,8 @@ use crate::sky_lane::render_alone;
 use crate::{AdamVec, SKY_LANE_DOUBT, TexelGradients, Update};
 use ffgs_core::{Camera, Gaussians, PlanarImage, SkyCube};
 use ffgs_rasterizer::RenderTape;
+use glam::Vec3;
+use rayon::prelude::*;
 use std::convert::Infallible;
 
 /// A sky under training on the CPU. The layer before it is rendered once per view.
@@ -36,9 +38,9 @@ impl SkyTraining for CpuSky<'_> {
     fn step(&mut self, view: usize) -> Result<(), Infallible> {
         let target = &self.targets[view];
         self.behind.aim(self.sky, target.camera);
-        target.residual(self.behind.image_mut());
+        let derivative = |pixel| target.derivative(self.behind.image(), pixel);
         self.gradient.clear();
-        self.behind.backward_of_image(&mut self.gradient);
+        self.behind.backward(derivative, &mut self.gradient);
         let (texels, sums) = (self.sky.texels.as_flattened_mut(), self.gradient.sums.as_flattened());
         let rate = (self.rate, SKY_LANE_DOUBT);
         self.adam.step(texels, sums, rate, Update::Touched(&self.gradient.touched));
@@ -62,20 +64,17 @@ impl<'a> Target<'a> {
     fn new(task: &TaskView<'a>, layer: &Gaussians, tape: &mut RenderTape) -> Self {
         render_alone(layer, task.view, tape);
         let mut remainder = PlanarImage::from(&task.view.image);
-        remainder.data_mut().iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
+        remainder.data_mut().par_iter_mut().zip(tape.image().data()).for_each(|(r, c)| *r -= c);
         let counts = |pixel: usize| task.region.as_ref().is_none_or(|region| region.data()[pixel] != 0);
-        let counted = tape.transmittance().iter().enumerate();
+        let counted = tape.transmittance().par_iter().enumerate();
         let transmittance = counted.map(|(pixel, &t)| if counts(pixel) { t } else { 0.0 }).collect();
         Self { camera: &task.view.camera, remainder, transmittance }
     }
 
-    /// Replaces a rendered sky by the derivative of half the squared error, weighted by the transmittance once more: the
-    /// error of a hidden pixel is not the sky's.
-    fn residual(&self, sky: &mut PlanarImage) {
-        let pixels = self.transmittance.len();
-        for (i, v) in sky.data_mut().iter_mut().enumerate() {
-            let t = self.transmittance[i % pixels];
-            *v = t * sky_share(t) * (t * *v - self.remainder.data()[i]);
-        }
+    /// The derivative of half the squared error by a pixel of a rendered sky, weighted by the transmittance once more: the error
+    /// of a hidden pixel is not the sky's.
+    fn derivative(&self, sky: &PlanarImage, pixel: usize) -> Vec3 {
+        let (t, remainder) = (self.transmittance[pixel], Vec3::from(self.remainder.pixel(pixel)));
+        t * sky_share(t) * (t * Vec3::from(sky.pixel(pixel)) - remainder)
     }
 }
