@@ -45,13 +45,30 @@ impl TopContributors {
         count: usize,
         wanted: impl Fn(usize) -> bool + Sync,
     ) -> Self {
+        let mut out = Self::default();
+        out.list(tape, size, count, wanted);
+        out
+    }
+
+    /// The same in the memory of earlier lists.
+    pub fn list(
+        &mut self,
+        tape: &RenderTape,
+        size: ImageSize,
+        count: usize,
+        wanted: impl Fn(usize) -> bool + Sync,
+    ) {
         let (grid, lists, splats) = (tape.grid, &tape.lists, &tape.splats);
         let width = size.width;
         let n = size.pixels() * count;
-        let mut out = Self { count, indices: vec![-1; n], weights: vec![0.0; n] };
+        self.count = count;
+        self.indices.resize(n, -1);
+        self.weights.resize(n, 0.0);
         let band = (TILE * width * count).max(1);
-        let rows = out.indices.par_chunks_mut(band).zip(out.weights.par_chunks_mut(band)).enumerate();
+        let rows = self.indices.par_chunks_mut(band).zip(self.weights.par_chunks_mut(band)).enumerate();
         rows.for_each(|(row, (indices, weights))| {
+            indices.fill(-1);
+            weights.fill(0.0);
             let mut heaviest = Heaviest::default();
             for tile in row * grid.columns..(row + 1) * grid.columns {
                 let slots = &lists.slots[lists.starts[tile] as usize..lists.starts[tile + 1] as usize];
@@ -72,7 +89,6 @@ impl TopContributors {
                 });
             }
         });
-        out
     }
 }
 

@@ -2,10 +2,8 @@
 
 use ffgs_core::{Gaussians, TrainingView};
 use ffgs_motion::MarkingConfig;
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
-
-/// Heaviest contributors of a pixel that are counted.
-const CONTRIBUTORS: usize = 16;
+use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, View};
+use rayon::prelude::*;
 
 /// Per Gaussian the sums of its weights `alpha T` over the pixels of all views, `[inside their masks, all]`; masks are widened by `marking.dilation`.
 pub(crate) fn shown_weights(
@@ -14,8 +12,18 @@ pub(crate) fn shown_weights(
     views: &[TrainingView],
 ) -> Vec<[f32; 2]> {
     let mut sums = vec![[0.0; 2]; gaussians.len()];
-    let mut tape = RenderTape::default();
-    views.iter().for_each(|view| add(&mut sums, marking, gaussians, view, &mut tape));
+    let (mut tape, mut footprints) = (RenderTape::default(), FootprintSums::default());
+    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
+    for view in views {
+        let mask = view.mask.widened(marking.dilation);
+        let inside: Vec<f32> = mask.data().iter().map(|&held| f32::from(u8::from(held != 0))).collect();
+        let all = vec![1.0; inside.len()];
+        let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
+        rasterizer.accumulate(gaussians, &frame, &[&inside, &all], &mut tape, &mut footprints);
+        sums.par_iter_mut().enumerate().for_each(|(i, sums)| {
+            sums.iter_mut().zip(footprints.of(i)).for_each(|(sum, shown)| *sum += shown);
+        });
+    }
     sums
 }
 
@@ -23,28 +31,6 @@ pub(crate) fn shown_weights(
 /// from; those show nothing of it. What no view shows is not judged.
 pub(crate) fn is_outside(marking: &MarkingConfig, [inside, all]: [f32; 2]) -> bool {
     inside < marking.shown_share * all
-}
-
-/// Adds what one view shows.
-fn add(
-    sums: &mut [[f32; 2]],
-    marking: &MarkingConfig,
-    gaussians: &Gaussians,
-    view: &TrainingView,
-    tape: &mut RenderTape,
-) {
-    let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
-    let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
-    let top = rasterizer.top_contributors(gaussians, &frame, CONTRIBUTORS, tape);
-    let mask = view.mask.widened(marking.dilation);
-    let pixels = top.indices.chunks(CONTRIBUTORS).zip(top.weights.chunks(CONTRIBUTORS));
-    for ((indices, weights), &held) in pixels.zip(mask.data()) {
-        for (&i, &weight) in indices.iter().zip(weights).filter(|(i, _)| **i >= 0) {
-            let [inside, all] = &mut sums[i as usize];
-            *inside += if held == 0 { 0.0 } else { weight };
-            *all += weight;
-        }
-    }
 }
 
 #[cfg(test)]

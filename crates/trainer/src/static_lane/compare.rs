@@ -57,7 +57,8 @@ pub(super) fn compare(
             let background = behind.render(sky, &view.camera);
             let counts = outside(view, config.mask_dilation);
             let on_lattice = trace.on_lattice();
-            let counted = counts.data().iter().enumerate().map(|(p, &counts)| counts != 0 && on_lattice(p));
+            let counted =
+                counts.data().par_iter().enumerate().map(|(p, &counts)| counts != 0 && on_lattice(p));
             residual(view, layer, background, counted.collect(), &mut tape)
         };
         let residuals: Vec<Residual> = views.iter().zip(traces).map(render).collect();
@@ -85,5 +86,5 @@ pub(super) fn residual(
     CpuRasterizer::default().render(layer, &frame, tape);
     let difference = |p: usize| Vec3::from(view.image.pixel(p)) - Vec3::from(tape.image().pixel(p));
     let value = |(p, &counts): (usize, &bool)| if counts { difference(p) } else { Vec3::ZERO };
-    Residual { values: counted.iter().enumerate().map(value).collect(), counted }
+    Residual { values: counted.par_iter().enumerate().map(value).collect(), counted }
 }

@@ -12,7 +12,7 @@ use crate::background::{BackgroundConfig, StaticMethod};
 use crate::view::Progress;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use std::sync::Arc;
-use trace::ViewTrace;
+use trace::{Tracer, ViewTrace};
 
 /// The photographs that the static lane compares its renders with, and the background of these renders.
 #[derive(Clone, Copy, Debug)]
@@ -125,11 +125,12 @@ impl StaticLane {
     /// Traces the views whose camera is new.
     fn trace(&mut self, tracing: Tracing, views: &[TrainingView], layer: &Gaussians) {
         self.traces.truncate(views.len());
+        let mut tracer = Tracer::default();
         for (v, view) in views.iter().enumerate() {
             if self.traces.get(v).is_some_and(|t| t.camera == view.camera) {
                 continue;
             }
-            let trace = ViewTrace::new(&view.camera, layer, tracing);
+            let trace = ViewTrace::new(&view.camera, layer, tracing, &mut tracer);
             if v < self.traces.len() { self.traces[v] = trace } else { self.traces.push(trace) }
         }
     }

@@ -32,7 +32,7 @@ pub(super) fn solve(
     predict(config, layer.len(), known);
     let system = System::new(config, traces, &seen.counted, layer, known);
     let mut running = Running::default();
-    let values = seen.counted.iter().flatten().filter(|c| **c).count().max(1) as f64 * 3.0;
+    let values = seen.counted.par_iter().flatten().filter(|c| **c).count().max(1) as f64 * 3.0;
     let told = system.squares(|v, pixel| system.counted[v][pixel]);
     let diagonal = system.diagonal(&told);
     let (right, squares) = (system.gather(&seen.back), seen.squares);
@@ -50,9 +50,10 @@ pub(super) fn solve(
     let partly_hidden = system.partly_hidden(config.solve_in_view, &told);
     system.learn(config, &diagonal, &partly_hidden, known);
     let (stride, coefficients) = (layer.sh_stride(), system.coefficients);
-    for (sh, x) in layer.sh.chunks_exact_mut(stride).zip(change.chunks_exact(coefficients)) {
+    let rows = layer.sh.par_chunks_exact_mut(stride).zip(change.par_chunks_exact(coefficients));
+    rows.for_each(|(sh, x)| {
         sh.iter_mut().zip(x).for_each(|(s, &d)| *s = (Vec3::from(*s) + d).to_array());
-    }
+    });
     (0..).zip(partly_hidden).filter(|(_, hidden)| *hidden).map(|(i, _)| i).collect()
 }
 
@@ -106,7 +107,7 @@ impl<'a> System<'a> {
         traces.iter().for_each(|t| offsets.push(offsets[offsets.len() - 1] + t.seen.len()));
         let ridge = known.iter().map(|v| v.map(|v| config.solve_noise.powi(2) / v)).collect();
         let places = invert(traces, layer.len());
-        let clamp_slopes = traces.iter().flat_map(|t| clamp_slopes(t, layer)).collect();
+        let clamp_slopes = traces.par_iter().flat_map_iter(|t| clamp_slopes(t, layer)).collect();
         Self { traces, counted, gaussians: layer.len(), coefficients, offsets, places, clamp_slopes, ridge }
     }
 
@@ -179,10 +180,10 @@ impl<'a> System<'a> {
             if self.counted[v][pixel] { sum } else { Vec3::ZERO }
         };
         let mut out = self.transpose(&self.colours(x), counted);
-        let rows = out.chunks_exact_mut(self.coefficients).zip(x.chunks_exact(self.coefficients));
-        for ((out, x), ridge) in rows.zip(&self.ridge) {
+        let rows = out.par_chunks_exact_mut(self.coefficients).zip(x.par_chunks_exact(self.coefficients));
+        rows.zip(&self.ridge).for_each(|((out, x), ridge)| {
             (0..self.coefficients).for_each(|c| out[c] += ridge[c.min(1)] * x[c]);
-        }
+        });
         out
     }
 
@@ -314,6 +315,7 @@ fn clamp_slopes(trace: &ViewTrace, layer: &Gaussians) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::super::compare::residual;
+    use super::super::trace::Tracer;
     use super::*;
     use crate::background::{SkyBehind, outside};
     use crate::static_lane::Tracing;
@@ -406,8 +408,10 @@ mod tests {
         dimmed.sh.iter_mut().for_each(|c| *c = c.map(|v| v * 0.6 - 0.1));
         let error_with = |stride: usize| {
             let tracing = Tracing { contributors: 16, stride, degree: 1 };
-            let traces: Vec<ViewTrace> =
-                views.iter().map(|v| ViewTrace::new(&v.camera, &dimmed, tracing)).collect();
+            let traces: Vec<ViewTrace> = views
+                .iter()
+                .map(|v| ViewTrace::new(&v.camera, &dimmed, tracing, &mut Tracer::default()))
+                .collect();
             let config = BackgroundConfig {
                 solve_iterations: 40,
                 solve_noise: 0.005 / stride as f32,
@@ -549,8 +553,9 @@ mod tests {
         let (layer, _, views) = wall();
         let config = BackgroundConfig::default();
         let every_pixel = Tracing { contributors: 16, stride: 1, degree: 1 };
+        let mut tracer = Tracer::default();
         let traces: Vec<ViewTrace> =
-            views.iter().map(|v| ViewTrace::new(&v.camera, &layer, every_pixel)).collect();
+            views.iter().map(|v| ViewTrace::new(&v.camera, &layer, every_pixel, &mut tracer)).collect();
         // Nothing is off and every pixel counts: the system must not depend on the errors.
         let exact: Vec<Vec<bool>> = views.iter().map(|v| vec![true; v.camera.size().pixels()]).collect();
         let mut known = Vec::new();

@@ -2,8 +2,12 @@
 
 use super::Tracing;
 use ffgs_core::{Camera, Gaussians};
-use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View, sh_basis};
+use ffgs_rasterizer::{
+    Background, CpuRasterizer, RenderOptions, RenderTape, TopContributors, View, sh_basis,
+};
 use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// Place in `seen` and weight `alpha T`.
 pub(super) type Contribution = (u32, f32);
@@ -23,31 +27,36 @@ pub(super) struct ViewTrace {
     contributions: Vec<Contribution>,
 }
 
+/// Pixels whose contributions are collected by one task.
+const PIXELS: usize = 4096;
+
+/// Memory that tracing takes, for one view after another.
+#[derive(Debug, Default)]
+pub(super) struct Tracer {
+    tape: RenderTape,
+    top: TopContributors,
+    place: Vec<u32>,
+}
+
 impl ViewTrace {
     /// The heaviest contributors of every pixel of the lattice, with a basis of the given degree.
-    pub(super) fn new(camera: &Camera, layer: &Gaussians, tracing: Tracing) -> Self {
+    pub(super) fn new(camera: &Camera, layer: &Gaussians, tracing: Tracing, tracer: &mut Tracer) -> Self {
         let Tracing { contributors: count, stride, degree } = tracing;
-        let on_lattice = lattice(camera.size().width, stride);
+        let Tracer { tape, top, place } = tracer;
         let view = View { camera, background: Background::Colour([0.0; 3]), tiles: None };
         let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
-        let top = rasterizer.top_contributors(layer, &view, count, &mut RenderTape::default());
-        let mut place = vec![u32::MAX; layer.len()];
-        let traced = || top.indices.chunks(count.max(1)).enumerate().filter(|(p, _)| on_lattice(*p));
-        let present = || traced().flat_map(|(_, indices)| indices).filter(|i| **i >= 0);
-        present().for_each(|&i| place[i as usize] = 0);
-        let seen: Vec<u32> = (0..layer.len() as u32).filter(|&i| place[i as usize] == 0).collect();
-        seen.iter().enumerate().for_each(|(at, &i)| place[i as usize] = at as u32);
-        let mut starts = vec![0];
-        let mut contributions = Vec::with_capacity(present().count());
-        let pixels = top.indices.chunks(count.max(1)).zip(top.weights.chunks(count.max(1)));
-        for (pixel, (indices, weights)) in pixels.enumerate() {
-            let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0 && on_lattice(pixel));
-            contributions.extend(present.map(|(&i, &w)| (place[i as usize], w)));
-            starts.push(contributions.len() as u32);
-        }
+        rasterizer.prepare(&[layer], &view, tape);
+        top.list(tape, camera.size(), count, lattice(camera.size().width, stride));
+        let colours: Vec<AtomicBool> = (0..layer.len()).map(|_| AtomicBool::new(false)).collect();
+        let present = top.indices.par_iter().filter_map(|&i| colours.get(usize::try_from(i).ok()?));
+        present.for_each(|colours| colours.store(true, Relaxed));
+        let seen: Vec<u32> = (0..).zip(&colours).filter(|(_, c)| c.load(Relaxed)).map(|(i, _)| i).collect();
+        place.resize(layer.len(), 0);
+        seen.iter().zip(0..).for_each(|(&i, at)| place[i as usize] = at);
+        let (starts, contributions) = packed(top, place);
         let center = camera.center().as_vec3();
         let direction = |&i: &u32| (Vec3::from(layer.means[i as usize]) - center).normalize_or_zero();
-        let directions = seen.iter().map(direction).collect();
+        let directions = seen.par_iter().map(direction).collect();
         let degree = degree.min(layer.sh_degree());
         Self { camera: *camera, seen, directions, degree, stride, starts, contributions }
     }
@@ -66,7 +75,7 @@ impl ViewTrace {
     }
 
     /// Whether a pixel, by its number, is on the lattice; the others have no contributions.
-    pub(super) fn on_lattice(&self) -> impl Fn(usize) -> bool + use<> {
+    pub(super) fn on_lattice(&self) -> impl Fn(usize) -> bool + Sync + use<> {
         lattice(self.camera.size().width, self.stride)
     }
 
@@ -76,7 +85,33 @@ impl ViewTrace {
     }
 }
 
+/// Contributions without the gaps of short lists, by the place of their Gaussians, and where those of each pixel start, (pixels + 1).
+fn packed(top: &TopContributors, place: &[u32]) -> (Vec<u32>, Vec<Contribution>) {
+    let count = top.count.max(1);
+    let lists = top.indices.par_chunks(PIXELS * count).zip(top.weights.par_chunks(PIXELS * count));
+    let parts: Vec<(Vec<u32>, Vec<Contribution>)> = lists
+        .map(|(indices, weights)| {
+            let (mut ends, mut packed) = (Vec::with_capacity(PIXELS), Vec::new());
+            for (indices, weights) in indices.chunks(count).zip(weights.chunks(count)) {
+                let present = indices.iter().zip(weights).filter(|(i, _)| **i >= 0);
+                packed.extend(present.map(|(&i, &weight)| (place[i as usize], weight)));
+                ends.push(packed.len() as u32);
+            }
+            (ends, packed)
+        })
+        .collect();
+    let mut starts = Vec::with_capacity(top.indices.len() / count + 1);
+    starts.push(0);
+    for (ends, _) in &parts {
+        let first = starts[starts.len() - 1];
+        starts.extend(ends.iter().map(|end| first + end));
+    }
+    let mut contributions = Vec::with_capacity(starts[starts.len() - 1] as usize);
+    parts.iter().for_each(|(_, packed)| contributions.extend_from_slice(packed));
+    (starts, contributions)
+}
+
 /// Whether a pixel of an image of a width is on the lattice of a stride.
-fn lattice(width: usize, stride: usize) -> impl Fn(usize) -> bool {
+fn lattice(width: usize, stride: usize) -> impl Fn(usize) -> bool + Sync {
     move |pixel| (pixel % width).is_multiple_of(stride) && (pixel / width).is_multiple_of(stride)
 }
