@@ -2,7 +2,7 @@
 // by it once more: the error of a hidden pixel is not the sky's.
 // Floor: 32 B read per pixel and 12 atomic additions where the sky shows.
 //
-// twin: trainer::sky::TexelGradients
+// twin: trainer::texel_gradients::TexelGradients
 // test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
 // bench: gpu/sky_lane
 

@@ -1,7 +1,7 @@
 // Derivative of half the squared error over the counted pixels: what the sky alone is trained on.
 // Floor: 19 B read and 16 B written per pixel.
 //
-// twin: trainer::cpu::sky::residual
+// twin: trainer::cpu::sky::derivative
 // test: trainer-gpu/tests/gpu_lanes.rs::the_sky_agrees
 // bench: gpu/sky_lane
 
