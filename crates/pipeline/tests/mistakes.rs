@@ -55,6 +55,7 @@ const MISTAKES: &[Mistake] = &[
     ("one camera with the pose of another", twins, Usable, "stand in the same place"),
     ("one camera with half the exposure", darker, Usable, "exposure differs: camera 'trk003'"),
     ("one camera upside down", upside_down, Usable, "upside down"),
+    ("points of an older program", older_points, Usable, "its points were made by an older version"),
 ];
 
 /// The camera at which one-camera mistakes are made.
@@ -269,6 +270,13 @@ fn twins(root: &Path) {
         frame[1] = frame[0].clone();
     }
     fs::write(file, train.to_string()).unwrap();
+}
+
+/// `ffgs prepare` made the capture before steps had versions; pictures were as good then.
+fn older_points(root: &Path) {
+    let prepared = json!({"settings": {}, "steps": {"pictures": "few", "points": "many"}, "origin": [0, 0, 0],
+        "metres_per_unit": 1, "assumed": [], "skipped": []});
+    fs::write(root.join("prepare.json"), prepared.to_string()).unwrap();
 }
 
 /// The test cameras are the first three training cameras.

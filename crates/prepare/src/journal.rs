@@ -125,12 +125,17 @@ impl Journal {
     /// What a finished step did, and how to have the results of today where an older program did it.
     pub(crate) fn account(&self, step: Step) -> Option<String> {
         let text = self.steps.get(&step)?;
-        let version = self.versions.get(&step).copied().unwrap_or_default();
-        Some(if version < step.version() {
+        Some(if self.is_older(step) {
             format!("{text}; made by an older version of this program (--force {step} makes them again)")
         } else {
             text.clone()
         })
+    }
+
+    /// Whether a step was finished by an older program, whose results were not those of today.
+    pub(crate) fn is_older(&self, step: Step) -> bool {
+        let version = self.versions.get(&step).copied().unwrap_or_default();
+        self.steps.contains_key(&step) && version < step.version()
     }
 
     /// Notes each sentence once.
@@ -198,9 +203,13 @@ mod tests {
         assert_eq!(account(&journal, Step::Pictures), "few");
         assert!(account(&journal, Step::Points).contains("--force points"));
         assert_eq!(journal.account(Step::Tracks), None);
+        let older =
+            |journal: &Journal| Step::ALL.into_iter().filter(|s| journal.is_older(*s)).collect::<Vec<_>>();
+        assert_eq!(older(&journal), [Step::Points]);
         let folder = TempDir::new().unwrap();
         journal.finish(Step::Points, "many".to_owned(), folder.path()).unwrap();
         let read = Journal::read(&folder.path().join(FILE)).unwrap();
         assert_eq!(account(&read, Step::Points), "many");
+        assert_eq!(older(&read), []);
     }
 }

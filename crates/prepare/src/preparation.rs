@@ -18,6 +18,8 @@ use std::path::Path;
 pub struct Summary {
     /// Label and text of every row.
     pub rows: Vec<(String, String)>,
+    /// Steps that an older version of this program finished, whose results would be better today.
+    pub older: Vec<Step>,
 }
 
 /// Makes a capture of footage, or goes on with one.
@@ -71,6 +73,7 @@ impl Summary {
         for step in Step::ALL {
             self.row(&step.to_string(), journal.account(step).unwrap_or_else(|| "not made".to_owned()));
         }
+        self.older.extend(Step::ALL.into_iter().filter(|step| journal.is_older(*step)));
         journal.assumed.iter().for_each(|text| self.row("assumed", text));
         journal.skipped.iter().for_each(|text| self.row("skipped", text));
     }

@@ -87,7 +87,9 @@ impl Step {
     /// Grows when the step's results become better, so that captures that were prepared before can be told.
     pub(crate) fn version(self) -> u32 {
         match self {
-            Self::Pictures | Self::Masks => 0,
+            Self::Pictures => 0,
+            // Each of a few views asks the others (docs/adr/0097-each-of-a-few-views-asks-the-others.md).
+            Self::Masks => 1,
             // What is seen behind other things has points (docs/adr/0095-what-views-look-through-stands-behind.md), and tracks have neighbours
             // that agree (docs/adr/0091-tracks-need-neighbours-that-agree.md).
             Self::Points | Self::Tracks => 1,

@@ -8,6 +8,7 @@ use anyhow::Result;
 use ffgs_core::ImageSize;
 use ffgs_dataset::{CheckReport, ImageCheck, Note, check_with_progress};
 use ffgs_method::{Capture, Part, Split, ViewAt};
+use ffgs_prepare::{Step, Summary};
 use ffgs_tracks::{FilesRead, MovingBackground, TrackStore, TracksReport, moving_backgrounds};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
@@ -69,6 +70,7 @@ pub(crate) fn check_capture(root: &Path, images: ImageCheck, quiet: bool) -> Res
     });
     bar.set_message("tracks");
     let tracks = check_tracks(&*capture, images, &mut content);
+    content.notes.extend(older_steps(capture.root()));
     bar.finish_and_clear();
     Ok(CaptureCheck { content, tracks })
 }
@@ -102,6 +104,20 @@ fn check_tracks(capture: &dyn Capture, images: ImageCheck, content: &mut CheckRe
     };
     content.faults.extend(tracks.faults.iter().cloned());
     tracks
+}
+
+/// What an older version of `ffgs prepare` made of the capture; nothing where that is not known.
+fn older_steps(root: &Path) -> Vec<Note> {
+    let file = root.join(Summary::FILE);
+    let older = Summary::read(&file).map(|summary| summary.older).unwrap_or_default();
+    let note = |step: &Step| {
+        let text = format!(
+            "its {step} were made by an older version of this program; `ffgs prepare`, as it was called then and with \
+             --force {step}, makes better ones"
+        );
+        Note { file: file.clone(), text }
+    };
+    older.iter().map(note).collect()
 }
 
 fn moving(capture: &dyn Capture, found: &MovingBackground) -> Note {
