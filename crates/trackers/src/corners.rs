@@ -1,5 +1,6 @@
 //! Shi and Tomasi's corners ("Good features to track", CVPR 1994), spread over the picture.
 
+use crate::lucas_kanade::{self, smaller_eigenvalue};
 use crate::pyramid::Level;
 use ffgs_core::Mask;
 use ffgs_core::kernel::{Kernel, dispatch, fma};
@@ -11,7 +12,8 @@ const RADIUS: usize = 3;
 const LEAST_EIGENVALUE: f32 = 2.25;
 
 /// The best corner of every cell of `cell` pixels, or of `fine_cell` pixels where `interest` is set: centres of pixels,
-/// with their strength, row by row.
+/// with their strength, row by row. Where `interest` is set a corner is whatever Lucas-Kanade can follow
+/// (docs/adr/0098-in-masks-what-can-be-followed-is-a-corner.md).
 pub(crate) fn corners(
     level: &Level,
     interest: Option<&Mask>,
@@ -19,9 +21,12 @@ pub(crate) fn corners(
     fine_cell: usize,
 ) -> Vec<([f32; 2], f32)> {
     let strength = dispatch(Strengths(level));
-    let mut found = in_cells(level, &strength, cell, |i| interest.is_none_or(|m| m.data()[i] == 0));
+    let elsewhere = (cell, LEAST_EIGENVALUE);
+    let mut found = in_cells(level, &strength, elsewhere, |i| interest.is_none_or(|m| m.data()[i] == 0));
     if let Some(mask) = interest {
-        found.extend(in_cells(level, &strength, fine_cell, |i| mask.data()[i] != 0));
+        found.extend(in_cells(level, &strength, (fine_cell, lucas_kanade::LEAST_EIGENVALUE), |i| {
+            mask.data()[i] != 0
+        }));
     }
     found
 }
@@ -29,12 +34,12 @@ pub(crate) fn corners(
 fn in_cells(
     level: &Level,
     strength: &[f32],
-    cell: usize,
+    (cell, least): (usize, f32),
     counts: impl Fn(usize) -> bool,
 ) -> Vec<([f32; 2], f32)> {
     let (width, height) = (level.size.width, level.size.height);
     let columns = width.div_ceil(cell);
-    let mut best = vec![(0, LEAST_EIGENVALUE); columns * height.div_ceil(cell)];
+    let mut best = vec![(0, least); columns * height.div_ceil(cell)];
     for (y, row) in strength.chunks_exact(width).enumerate() {
         let slots = &mut best[y / cell * columns..][..columns];
         for (k, (slot, values)) in slots.iter_mut().zip(row.chunks(cell)).enumerate() {
@@ -47,7 +52,7 @@ fn in_cells(
         }
     }
     let centre = |i: usize| [(i % width) as f32 + 0.5, (i / width) as f32 + 0.5];
-    best.into_iter().filter(|b| b.1 > LEAST_EIGENVALUE).map(|(i, s)| (centre(i), s)).collect()
+    best.into_iter().filter(|b| b.1 > least).map(|(i, s)| (centre(i), s)).collect()
 }
 
 /// Smaller eigenvalue of the mean structure tensor around every pixel.
@@ -111,8 +116,27 @@ fn down_columns(sums: &[[Vec<f32>; 3]], out: &mut [f32]) {
     }
 }
 
-/// Of the symmetric matrix (a b; b c).
-#[inline(always)]
-pub(crate) fn smaller_eigenvalue([a, b, c]: [f32; 3]) -> f32 {
-    0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pyramid::Pyramid;
+    use ffgs_core::{ImageRgb8, ImageSize};
+
+    const SIZE: ImageSize = ImageSize { width: 96, height: 64 };
+
+    #[test]
+    fn what_is_faint_has_corners_only_where_a_mask_holds_it() {
+        // Waves of 5 grey levels, as folds of cloth or skin have.
+        let grey = |i: usize| {
+            let [x, y] = [i % SIZE.width, i / SIZE.width].map(|v| v as f32 * 0.5);
+            (128.0 + 5.0 * x.sin() * y.cos()).round() as u8
+        };
+        let image = ImageRgb8::new(SIZE, (0..SIZE.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap();
+        let level = &Pyramid::new(&image, 1).levels[0];
+        let left = (0..SIZE.pixels()).map(|i| u8::from(i % SIZE.width < 48)).collect();
+        let left = Mask::new(SIZE, left).unwrap();
+        assert!(corners(level, None, 4, 3).is_empty());
+        let found = corners(level, Some(&left), 4, 3);
+        assert!(found.len() > 100 && found.iter().all(|([x, _], _)| *x < 48.0), "{} corners", found.len());
+    }
 }

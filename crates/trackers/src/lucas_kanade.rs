@@ -1,7 +1,6 @@
 //! Lucas and Kanade's tracker on pyramids (Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker",
 //! 2000), with the mean of every window taken out, so that a change of exposure is no motion.
 
-use crate::corners::smaller_eigenvalue;
 use crate::pyramid::{Level, PAD, Pyramid};
 use ffgs_core::instructions;
 use pulp::{Simd, WithSimd};
@@ -16,7 +15,7 @@ const ITERATIONS: usize = 20;
 /// A step below this (px) ends the iterations: a hundredth of a good tracker's noise is not worth more.
 const CONVERGED: f32 = 0.01;
 /// Smaller eigenvalue per pixel below which a window has no texture in some direction.
-const LEAST_EIGENVALUE: f32 = 0.5;
+pub(crate) const LEAST_EIGENVALUE: f32 = 0.5;
 
 type Row = [f32; ROW];
 type Patch = [Row; SIDE];
@@ -224,4 +223,10 @@ fn product<S: Simd>(simd: S, a: &Patch, b: &Patch) -> f32 {
         }
     }
     simd.reduce_sum_f32s(sum)
+}
+
+/// Of the symmetric matrix (a b; b c).
+#[inline(always)]
+pub(crate) fn smaller_eigenvalue([a, b, c]: [f32; 3]) -> f32 {
+    0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
 }
