@@ -65,7 +65,7 @@ impl CpuRasterizer {
     ) {
         tape.grid = TileGrid::new(view.camera.size());
         self.project(layers, bounds, view, tape);
-        tape.lists.deal(&tape.splats, &tape.spans, tape.grid, view.tiles);
+        tape.lists.build(&tape.splats, &tape.spans, tape.grid, view.tiles);
         tape.pixels.resize_with(tape.grid.count(), TilePixels::default);
     }
 

@@ -1,6 +1,6 @@
 //! The depth-ordered list of every tile.
 //!
-//! Splats come in the order of their Gaussians and are dealt in parts. A first pass counts the splats of each part by tile, which
+//! Splats come in the order of their Gaussians and are binned in parts. A first pass counts the splats of each part by tile, which
 //! gives every part places of its own in every list; a second writes them there. Then each tile sorts its list, which fits a cache
 //! and needs no other thread. The lists do not depend on how many parts there are.
 
@@ -49,11 +49,11 @@ pub(crate) struct TileLists {
     /// Places of each splat in the lists of its tiles, in the order of its spans.
     pub(crate) entries: Vec<u32>,
     /// Depth and splat at each place. No two threads write to one place, which the compiler cannot know.
-    dealt: Vec<AtomicU64>,
+    binned: Vec<AtomicU64>,
     parts: Vec<Part>,
 }
 
-/// Consecutive splats that one thread deals.
+/// Consecutive splats that one thread bins.
 #[derive(Debug, Default)]
 struct Part {
     /// Number of its splats in every tile; then the place of the next one there.
@@ -68,18 +68,24 @@ impl TileLists {
         self.slots.len()
     }
 
-    /// Deals splats to the computed tiles among their `spans`, and sorts every tile by depth.
-    pub(crate) fn deal(&mut self, splats: &[Splat], spans: &[Span], grid: TileGrid, mask: Option<&TileMask>) {
-        let deck = Deck { spans, grid, mask };
+    /// Bins splats to the computed tiles among their `spans`, and sorts every tile by depth.
+    pub(crate) fn build(
+        &mut self,
+        splats: &[Splat],
+        spans: &[Span],
+        grid: TileGrid,
+        mask: Option<&TileMask>,
+    ) {
+        let tiling = Tiling { spans, grid, mask };
         let size = splats.len().div_ceil(PARTS_PER_THREAD * rayon::current_num_threads()).max(LEAST_PART);
-        self.count(splats, size, deck);
+        self.count(splats, size, tiling);
         self.assign_places(grid);
-        self.place(splats, size, deck);
+        self.place(splats, size, tiling);
         self.sort();
     }
 
     /// Counts the splats of every part by tile; `entry_starts` count from the part's first entry.
-    fn count(&mut self, splats: &[Splat], size: usize, deck: Deck) {
+    fn count(&mut self, splats: &[Splat], size: usize, tiling: Tiling) {
         let Self { entry_starts, parts, .. } = self;
         parts.resize_with(splats.len().div_ceil(size), Part::default);
         entry_starts.clear();
@@ -88,11 +94,11 @@ impl TileLists {
         parts.par_iter_mut().zip(splats.par_chunks(size)).zip(starts).for_each(|((part, splats), starts)| {
             let Part { cursors, total } = part;
             cursors.clear();
-            cursors.resize(deck.grid.count(), 0);
+            cursors.resize(tiling.grid.count(), 0);
             *total = 0;
             for (splat, start) in splats.iter().zip(starts) {
                 *start = *total;
-                deck.for_each_tile(splat, |tile| {
+                tiling.for_each_tile(splat, |tile| {
                     cursors[tile] += 1;
                     *total += 1;
                 });
@@ -114,12 +120,12 @@ impl TileLists {
     }
 
     /// Writes every splat to its places.
-    fn place(&mut self, splats: &[Splat], size: usize, deck: Deck) {
-        let Self { starts, slots, entry_starts, entries, dealt, parts } = self;
-        let total = starts[deck.grid.count()];
+    fn place(&mut self, splats: &[Splat], size: usize, tiling: Tiling) {
+        let Self { starts, slots, entry_starts, entries, binned, parts } = self;
+        let total = starts[tiling.grid.count()];
         slots.resize(total as usize, Entry::default());
         entries.resize(total as usize, 0);
-        dealt.resize_with(total as usize, AtomicU64::default);
+        binned.resize_with(total as usize, AtomicU64::default);
         entry_starts[splats.len()] = total;
         let (mut first, mut rest) = (0, &mut entries[..]);
         let mut share = |part: &Part| {
@@ -136,10 +142,12 @@ impl TileLists {
                 *start += first;
                 // Depths are positive: their bits compare as they do.
                 let value = Entry::new(splat.depth.to_bits(), (number * size + k) as u32).0;
-                deck.for_each_tile(splat, |tile| {
+                tiling.for_each_tile(splat, |tile| {
                     let place = &mut part.cursors[tile];
-                    dealt[*place as usize].store(value, Relaxed);
-                    entries.next().into_iter().for_each(|entry| *entry = *place);
+                    binned[*place as usize].store(value, Relaxed);
+                    if let Some(entry) = entries.next() {
+                        *entry = *place;
+                    }
                     *place += 1;
                 });
             }
@@ -148,31 +156,31 @@ impl TileLists {
 
     /// Sorts every tile: among splats of one depth, the order of the Gaussians decides.
     fn sort(&mut self) {
-        let Self { starts, slots, dealt, .. } = self;
+        let Self { starts, slots, binned, .. } = self;
         for_each_tile_slice(starts, slots, &|tile, list| {
-            let dealt = &dealt[starts[tile] as usize..starts[tile + 1] as usize];
+            let binned = &binned[starts[tile] as usize..starts[tile + 1] as usize];
             let (depth, slot) = (|v: u64| (v >> 32) as u32, |v: u64| v as u32);
             for (place, entry) in list.iter_mut().enumerate() {
-                *entry = Entry::new(depth(dealt[place].load(Relaxed)), place as u32);
+                *entry = Entry::new(depth(binned[place].load(Relaxed)), place as u32);
             }
             list.sort_unstable();
             for entry in list {
                 let place = entry.place();
-                *entry = Entry::new(slot(dealt[place].load(Relaxed)), place as u32);
+                *entry = Entry::new(slot(binned[place].load(Relaxed)), place as u32);
             }
         });
     }
 }
 
-/// Which tiles splats are dealt to.
+/// Which tiles splats are binned to.
 #[derive(Clone, Copy)]
-struct Deck<'a> {
+struct Tiling<'a> {
     spans: &'a [Span],
     grid: TileGrid,
     mask: Option<&'a TileMask>,
 }
 
-impl Deck<'_> {
+impl Tiling<'_> {
     #[inline(always)]
     fn for_each_tile(self, splat: &Splat, visit: impl FnMut(usize)) {
         let (start, count) = (splat.spans.0 as usize, splat.spans.1 as usize);
@@ -243,7 +251,7 @@ mod tests {
         // The second time in several parts, in the memory of the first.
         for number in [500, 3 * LEAST_PART as u32 + 7] {
             let (splats, spans) = scattered(grid, number);
-            lists.deal(&splats, &spans, grid, None);
+            lists.build(&splats, &spans, grid, None);
             check(&lists, &splats, &spans, grid);
         }
         assert!(lists.parts.len() > 1);

@@ -121,7 +121,7 @@ mod tests {
     /// A third of the pixels have no derivative.
     fn derivative(pixel: usize) -> Vec3 {
         let at = |k: usize| ((pixel * k) as f32).sin();
-        if pixel % 3 == 0 { Vec3::ZERO } else { Vec3::new(at(3), at(5), at(7)) }
+        if pixel.is_multiple_of(3) { Vec3::ZERO } else { Vec3::new(at(3), at(5), at(7)) }
     }
 
     /// Neighbours wherever the pixel lies, with bilinear weights; some are zero.
