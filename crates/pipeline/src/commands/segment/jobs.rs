@@ -106,11 +106,10 @@ fn work(plan: &Plan, job: Job, worker: Worker) -> Result<RunRequest> {
             // Parts start from the key frames alone.
             run.keep = NonZeroUsize::new(plan.length);
             run.config.dynamic.iterations = plan.scout_iterations;
-            // The static layer and the sky are those of the first frame.
+            // The static layer learns what comes to light; else it and the sky stay those of the first frame.
             run.config.background.static_method = StaticMethod::Steps;
             run.config.background.static_iterations = 0;
             run.config.background.sky_iterations = 0;
-            run.config.disocclusion.iterations = 0;
             Ok(run)
         }
         Job::Part(number) => {
