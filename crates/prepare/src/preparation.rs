@@ -18,7 +18,7 @@ use std::path::Path;
 pub struct Summary {
     /// Label and text of every row.
     pub rows: Vec<(String, String)>,
-    /// Steps that an older version of this program finished, whose results would be better today.
+    /// Steps that an older version of this program finished, whose results may be better today.
     pub older: Vec<Step>,
 }
 

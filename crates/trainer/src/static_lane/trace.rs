@@ -47,10 +47,10 @@ impl ViewTrace {
         let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
         rasterizer.prepare(&[layer], &view, tape);
         top.list(tape, camera.size(), count, lattice(camera.size().width, stride));
-        let colours: Vec<AtomicBool> = (0..layer.len()).map(|_| AtomicBool::new(false)).collect();
-        let present = top.indices.par_iter().filter_map(|&i| colours.get(usize::try_from(i).ok()?));
-        present.for_each(|colours| colours.store(true, Relaxed));
-        let seen: Vec<u32> = (0..).zip(&colours).filter(|(_, c)| c.load(Relaxed)).map(|(i, _)| i).collect();
+        let is_seen: Vec<AtomicBool> = (0..layer.len()).map(|_| AtomicBool::new(false)).collect();
+        let present = top.indices.par_iter().filter_map(|&i| is_seen.get(usize::try_from(i).ok()?));
+        present.for_each(|is_seen| is_seen.store(true, Relaxed));
+        let seen: Vec<u32> = (0..).zip(&is_seen).filter(|(_, is)| is.load(Relaxed)).map(|(i, _)| i).collect();
         place.resize(layer.len(), 0);
         seen.iter().zip(0..).for_each(|(&i, at)| place[i as usize] = at);
         let (starts, contributions) = packed(top, place);

@@ -113,7 +113,7 @@ fn older_steps(root: &Path) -> Vec<Note> {
     let note = |step: &Step| {
         let text = format!(
             "its {step} were made by an older version of this program; `ffgs prepare`, as it was called then and with \
-             --force {step}, makes better ones"
+             --force {step}, makes them again"
         );
         Note { file: file.clone(), text }
     };
