@@ -4,9 +4,10 @@ use crate::ReportError;
 use crate::colour::inferno;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
-use ffgs_core::ImageRgb8;
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::U8x3;
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
+use ffgs_core::{ImageRgb8, ImageSize};
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
@@ -100,15 +101,14 @@ impl Thumbnails {
         let (width, height) = (picture.size().width as u32, picture.size().height as u32);
         let scaled_width = self.width(f64::from(width) / f64::from(height.max(1))).min(width);
         let scaled_height = (u64::from(height) * u64::from(scaled_width) / u64::from(width.max(1))) as u32;
-        let scaled = scaled(picture, [scaled_width, scaled_height.max(1).min(height)]);
+        let (width, height) = (scaled_width, scaled_height.max(1).min(height));
+        let scaled = scaled(picture, ImageSize { width: width as usize, height: height as usize });
         let mut bytes = Vec::new();
         for quality in QUALITIES {
             bytes.clear();
             let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
             let colours = ExtendedColorType::Rgb8;
-            encoder
-                .write_image(scaled.buffer(), scaled.width(), scaled.height(), colours)
-                .map_err(ReportError::Encode)?;
+            encoder.write_image(scaled.data(), width, height, colours).map_err(ReportError::Encode)?;
             if bytes.len() <= self.most_bytes {
                 break;
             }
@@ -124,15 +124,16 @@ impl Thumbnails {
 }
 
 /// Means over the pixels that each pixel of the smaller picture covers.
-fn scaled(picture: &ImageRgb8, [width, height]: [u32; 2]) -> Image<'static> {
-    let (size, kind) = (picture.size(), PixelType::U8x3);
-    let whole = ImageRef::new(size.width as u32, size.height as u32, picture.data(), kind);
-    let mut out = Image::new(width, height, kind);
+fn scaled(picture: &ImageRgb8, size: ImageSize) -> ImageRgb8 {
+    let whole = picture.size();
+    // Of one type of pixel: of an untyped image the compiler would make the code for all of them, which takes minutes.
+    let from = TypedImageRef::<U8x3>::from_buffer(whole.width as u32, whole.height as u32, picture.data());
+    let mut to = TypedImage::<U8x3>::new(size.width as u32, size.height as u32);
     let means = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
-    let result =
-        Resizer::new().resize(&whole.expect("an ImageRgb8 holds its size's bytes"), &mut out, &means);
-    result.expect("both have three bytes per pixel");
-    out
+    let from = from.expect("an ImageRgb8 holds its size's bytes");
+    Resizer::new().resize_typed(&from, &mut to, &means).expect("the whole picture is inside of itself");
+    ImageRgb8::new(size, to.pixels().iter().flat_map(|pixel| pixel.0).collect())
+        .expect("three bytes per pixel")
 }
 
 /// Colour-mapped mean absolute difference over the channels: black = equal, bright = a quarter of the range or more.
@@ -188,10 +189,9 @@ mod tests {
         // Columns of 0 and 200 that each pixel of the smaller picture covers alike.
         let size = ImageSize { width: 8, height: 4 };
         let stripes = ImageRgb8::new(size, [[0; 3], [200; 3]].concat().repeat(16)).unwrap();
-        let half = scaled(&stripes, [4, 2]);
-        assert_eq!((half.width(), half.height()), (4, 2));
-        assert!(half.buffer().iter().all(|&v| v == 100), "{:?}", half.buffer());
-        assert_eq!(scaled(&stripes, [8, 4]).buffer(), stripes.data());
+        let half = scaled(&stripes, ImageSize { width: 4, height: 2 });
+        assert!(half.data().iter().all(|&v| v == 100), "{:?}", half.data());
+        assert_eq!(scaled(&stripes, size), stripes);
     }
 
     #[test]
