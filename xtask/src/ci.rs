@@ -21,6 +21,10 @@ enum Outcome {
 /// An error carries the output to show.
 type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 
+/// The packages that have tests. The benchmarks' measuring library gives packages below all of ours more features: with it every
+/// one of them would be built anew for the steps that build a program or the Python package alone.
+const TESTED: [&str; 3] = ["--workspace", "--exclude", "ffgs-bench"];
+
 const STEPS: [Step; 20] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
@@ -33,7 +37,7 @@ const STEPS: [Step; 20] = [
     ("fixtures", |root| fixtures::check(root).map(Outcome::Passed)),
     ("supply", |root| supply::run(root, None).map(Outcome::Passed)),
     ("tests", tests),
-    ("doc tests", |root| cargo(root, &["test", "--workspace", "--doc"])),
+    ("doc tests", |root| cargo(root, &[&["test"], &TESTED[..], &["--doc"]].concat())),
     ("players", players),
     ("main job", main_job),
     ("page", page),
@@ -123,12 +127,12 @@ fn table(rows: &[(&str, f64, &str)]) -> String {
 fn tests(root: &Path) -> Result<Outcome> {
     let nextest = workspace::cargo(root).args(["nextest", "--version"]).output();
     if nextest.is_ok_and(|output| output.status.success()) {
-        return cargo(root, &["nextest", "run", "--workspace", "--no-fail-fast", "--run-ignored", "all"]);
+        let args = [&["nextest", "run"], &TESTED[..], &["--no-fail-fast", "--run-ignored", "all"]];
+        return cargo(root, &args.concat());
     }
     let kinds = ["--lib", "--bins", "--tests"];
     // Tests that need a GPU are marked as ignored; `setup` has installed a software adapter at least.
-    let args =
-        [&["test", "--workspace"], &kinds[..], &["--no-fail-fast", "--", "--include-ignored"]].concat();
+    let args = [&["test"], &TESTED[..], &kinds, &["--no-fail-fast", "--", "--include-ignored"]].concat();
     cargo(root, &args)
 }
 
@@ -207,8 +211,8 @@ fn players(root: &Path) -> Result<Outcome> {
     };
     let mut command = workspace::cargo(root);
     command.env("CARGO_TERM_COLOR", "never").env(variable, reader);
-    // The whole workspace, as in the step before: one package by itself has other features and would be built again.
-    let words = ["test", "--workspace", "--test", "formats", "players_read_what_was_written"];
+    // The same packages as in the step before: one by itself may have other features and would be built again.
+    let words = [&["test"], &TESTED[..], &["--test", "formats", "players_read_what_was_written"]].concat();
     let files = captured(command.args(words))?;
     let script = ["xtask/players/stream_test.mjs", "crates/pipeline/web/stream.js"];
     let decoded = |stream: &str| captured(Command::new("node").current_dir(root).args(script).arg(stream));
@@ -300,7 +304,7 @@ fn networks(root: &Path) -> Result<Outcome> {
             tests
                 .env("ORT_DYLIB_PATH", library.lines().last().unwrap_or_default())
                 .env("CARGO_TERM_COLOR", "never");
-            tests.args(["test", "--workspace", "--test", "networks", "--test", "footage"]);
+            tests.args([&["test"], &TESTED[..], &["--test", "networks", "--test", "footage"]].concat());
             captured(&mut tests).map(Outcome::Passed)
         }
         Err(reason) => Ok(Outcome::Skipped(format!("{reason:#}"))),

@@ -1,6 +1,6 @@
 //! The motion initialisation gives the same bits on any number of threads.
 
-#[path = "../benches/scene/mod.rs"]
+#[path = "../../bench/benches/scene/mod.rs"]
 #[allow(dead_code, reason = "the sizes of the benchmarks are not used here")]
 mod scene;
 

@@ -3,6 +3,7 @@
 //! The share of a case is its least time at the measured rates of the adapter (memory traffic or multiply-adds,
 //! whichever takes longer) over the time that it took.
 
+use super::PACKAGE;
 use crate::workspace;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
@@ -70,7 +71,7 @@ pub(crate) fn run(
 fn measure(root: &Path, adapter: Option<usize>, quick: bool, cases: &Cases) -> Result<String> {
     let out = workspace::target(root).join("bench-gpu.csv");
     let mut command = workspace::cargo(root);
-    command.args(["bench", "-p", "ffgs-trainer-gpu", "--bench", "gpu", "--", "--out"]).arg(&out);
+    command.args(["bench", "-p", PACKAGE, "--bench", "gpu", "--", "--out"]).arg(&out);
     let adapter = adapter.map(|index| index.to_string());
     let samples = quick.then(|| "3".to_owned());
     let options = [

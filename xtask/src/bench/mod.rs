@@ -49,8 +49,10 @@ pub(crate) struct Options {
 const TABLE: &str = "docs/bench/cpu.csv";
 /// That of `--scaling`.
 const SCALING: &str = "docs/bench/scaling.csv";
-/// Package and benchmark of what is timed on the CPU.
-const BENCHES: [[&str; 2]; 2] = [["ffgs-trainer", "cpu"], ["ffgs-trackers", "trackers"]];
+/// The package of all benchmarks.
+const PACKAGE: &str = "ffgs-bench";
+/// Those of what is timed on the CPU.
+const BENCHES: [&str; 2] = ["cpu", "trackers"];
 /// Counts of the rendered scenes, written by the benchmark beside criterion's own files.
 const COUNTS: &str = "counts.csv";
 
@@ -88,12 +90,12 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 }
 
 fn measure(root: &Path, options: &Options) -> Result<()> {
-    BENCHES.iter().try_for_each(|bench| measure_one(root, options, *bench))
+    BENCHES.iter().try_for_each(|bench| measure_one(root, options, bench))
 }
 
-fn measure_one(root: &Path, options: &Options, [package, bench]: [&str; 2]) -> Result<()> {
+fn measure_one(root: &Path, options: &Options, bench: &str) -> Result<()> {
     let mut command = workspace::cargo(root);
-    command.args(["bench", "-p", package, "--bench", bench, "--", "--noplot"]);
+    command.args(["bench", "-p", PACKAGE, "--bench", bench, "--", "--noplot"]);
     if options.quick {
         command.args(["--warm-up-time", "0.1", "--measurement-time", "0.3", "--sample-size", "10"]);
     }
@@ -109,7 +111,7 @@ fn measure_one(root: &Path, options: &Options, [package, bench]: [&str; 2]) -> R
 /// Runs the scaling cases, prints their table and saves it when it is whole.
 fn scaling(root: &Path, options: &Options) -> Result<()> {
     let mut command = workspace::cargo(root);
-    command.args(["bench", "-p", "ffgs-trainer", "--bench", "scaling", "--"]).args(&options.filter);
+    command.args(["bench", "-p", PACKAGE, "--bench", "scaling", "--"]).args(&options.filter);
     let output = command.stderr(Stdio::inherit()).output().context("cannot start cargo")?;
     ensure!(output.status.success(), "the benchmark failed");
     let table = String::from_utf8(output.stdout).context("the table is not text")?;

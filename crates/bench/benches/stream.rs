@@ -1,4 +1,4 @@
-//! Reading a stream from its files to Gaussians, on two threads: `cargo bench -p ffgs-stream`.
+//! Reading a stream from its files to Gaussians, on two threads: `cargo bench -p ffgs-bench --bench stream`.
 //!
 //! `FFGS_STREAM=FOLDER` reads that stream; without it one of made-up layers, as large as those of the sample, is written first.
 //! 60 frames per second leave 16.7 ms for each.

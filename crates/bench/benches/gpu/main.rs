@@ -6,7 +6,7 @@ mod machine;
 mod rows;
 // The scenes of the CPU's benchmarks: the cases are the same.
 #[allow(dead_code, reason = "the CPU's benchmarks need more of it")]
-#[path = "../../../trainer/benches/cpu/scene.rs"]
+#[path = "../cpu/scene.rs"]
 mod scene;
 mod stages;
 mod steps;

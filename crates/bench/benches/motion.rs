@@ -1,4 +1,4 @@
-//! Stages of the motion initialisation on simulated input: `cargo bench -p ffgs-simulator --bench motion`.
+//! Stages of the motion initialisation on simulated input: `cargo bench -p ffgs-bench --bench motion`.
 //!
 //! Sizes: the sample's (20 views of 320x180, 23 000 moving and 66 000 standing Gaussians) and the paper's (60 views of
 //! 1920x1080, 200 000 and 200 000). Stages that work view by view are measured on one view.

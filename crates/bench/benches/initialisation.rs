@@ -1,4 +1,4 @@
-//! The whole motion initialisation on a synthetic scene, and where its time goes: `cargo bench -p ffgs-simulator --bench
+//! The whole motion initialisation on a synthetic scene, and where its time goes: `cargo bench -p ffgs-bench --bench
 //! initialisation`. Prints a table; the best of three passes after one that warms up. Files are not read: what stands for
 //! loading is a copy of each dense field.
 
