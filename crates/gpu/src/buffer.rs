@@ -36,22 +36,33 @@ pub(crate) struct Memory {
     /// Bytes that may be held.
     pub limit: u64,
     held: Arc<AtomicU64>,
+    peak: AtomicU64,
 }
 
 impl Memory {
     pub(crate) fn new(limit: u64) -> Self {
-        Self { limit, held: Arc::default() }
+        Self { limit, held: Arc::default(), peak: AtomicU64::new(0) }
     }
 
     /// Sets `bytes` aside; they are free again when the share is dropped.
     pub(crate) fn take(&self, bytes: u64) -> Result<Share, GpuError> {
         let share = Share { bytes, held: self.held.clone() };
         let before = self.held.fetch_add(bytes, Ordering::Relaxed);
-        if before.saturating_add(bytes) <= self.limit { Ok(share) } else { Err(GpuError::OutOfMemory) }
+        let now = before.saturating_add(bytes);
+        if now > self.limit {
+            return Err(GpuError::OutOfMemory);
+        }
+        self.peak.fetch_max(now, Ordering::Relaxed);
+        Ok(share)
     }
 
     pub(crate) fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
+    }
+
+    /// Most that was ever held.
+    pub(crate) fn peak(&self) -> u64 {
+        self.peak.load(Ordering::Relaxed)
     }
 }
 
@@ -98,6 +109,7 @@ mod tests {
         assert_eq!(memory.held(), 90);
         drop(most);
         assert_eq!(memory.held(), 0);
+        assert_eq!(memory.peak(), 90, "what was refused was never held");
         assert!(memory.take(100).is_ok());
     }
 

@@ -113,6 +113,11 @@ impl Gpu {
         self.memory.held()
     }
 
+    /// Most bytes that buffers have held at once.
+    pub fn memory_peak(&self) -> u64 {
+        self.memory.peak()
+    }
+
     /// The adapter.
     pub fn report(&self) -> &AdapterReport {
         &self.report

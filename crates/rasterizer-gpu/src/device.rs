@@ -3,8 +3,17 @@
 use crate::scene::GpuScene;
 use ffgs_core::Gaussians;
 use ffgs_gpu::{Gpu, GpuError};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+/// Where the photographs of a training are between the steps that use them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// All in the memory of the device.
+    Device,
+    /// In the machine's memory; that of each step crosses to the device.
+    Host,
+}
 
 /// A GPU that keeps the layers it was told of: one that stands still crosses to the device once, however many stages
 /// use it.
@@ -14,12 +23,18 @@ pub struct SceneDevice {
     /// A `Weak` keeps the address from being used for another layer, and the layer from being changed in place.
     kept: Mutex<Vec<(Weak<Gaussians>, GpuScene)>>,
     uploads: AtomicUsize,
+    photographs_stay: AtomicBool,
 }
 
 impl SceneDevice {
     /// Nothing is kept yet.
     pub fn new(gpu: Gpu) -> Self {
-        Self { gpu, kept: Mutex::default(), uploads: AtomicUsize::new(0) }
+        Self {
+            gpu,
+            kept: Mutex::default(),
+            uploads: AtomicUsize::new(0),
+            photographs_stay: AtomicBool::new(false),
+        }
     }
 
     /// `layer` on the device, for reading. Layers that nobody holds any more are let go.
@@ -45,6 +60,20 @@ impl SceneDevice {
     /// Lets go of everything.
     pub fn forget(&self) {
         self.kept().clear();
+        self.gpu.release_unused();
+    }
+
+    /// Where the photographs of a training begin.
+    pub fn place_of_photographs(&self) -> Place {
+        if self.photographs_stay.load(Ordering::Relaxed) { Place::Host } else { Place::Device }
+    }
+
+    /// Leaves photographs on the host from now on, as the memory of the device was too small for all of them.
+    pub fn leave_photographs(&self) {
+        if !self.photographs_stay.swap(true, Ordering::Relaxed) {
+            let name = &self.gpu.report().name;
+            tracing::info!("the memory of {name} is short: photographs cross to it one by one, step by step");
+        }
         self.gpu.release_unused();
     }
 

@@ -36,7 +36,7 @@ mod scratch;
 mod shader_tests;
 mod view;
 
-pub use device::SceneDevice;
+pub use device::{Place, SceneDevice};
 pub use encode::{backward, bin_to_tiles, count_views, prepare, render, render_split, tile_depths};
 pub use footprint::{Footprints, Planes};
 pub use kernels::{LEDGER, VIEW};

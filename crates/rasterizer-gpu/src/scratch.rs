@@ -142,8 +142,10 @@ impl Scratch {
     pub fn ensure(&mut self, gpu: &Gpu, capacity: Capacity) -> Result<(), GpuError> {
         let needed = self.capacity.max(capacity);
         if needed != self.capacity {
-            *self = Self::new(gpu, needed)?;
+            // The old memory is let go before there is new: both at once may not fit.
+            *self = Self::new(gpu, Capacity::default())?;
             gpu.release_unused();
+            *self = Self::new(gpu, needed)?;
         }
         Ok(())
     }

@@ -4,15 +4,15 @@ use crate::optimiser::Optimiser;
 use crate::prior::GpuPrior;
 use crate::sky::GpuSky;
 use crate::surroundings::{Surroundings, cut};
-use crate::target::{Selection, Target};
-use crate::workspace::{OPTIONS, Workspace, largest_view, shared_layers};
+use crate::target::{Shared, Target, leave_device};
+use crate::workspace::{OPTIONS, Workspace, in_short_memory, largest_view};
 use ffgs_core::{Gaussians, SkyCube};
 use ffgs_gpu::{Commands, GpuError};
 use ffgs_rasterizer::RenderOptions;
-use ffgs_rasterizer_gpu::{GpuScene, SceneDevice, backward, prepare, render};
+use ffgs_rasterizer_gpu::{GpuScene, Place, SceneDevice, backward, prepare, render};
 use ffgs_trainer::{
     Around, Columns, GradientSums, IndexMap, LayerTask, LayerTraining, LearningRates, Progress, Revision,
-    SKY_DOUBT, TaskView, Training, mean_pixels,
+    SKY_DOUBT, Training, mean_pixels,
 };
 use std::sync::Arc;
 
@@ -20,12 +20,10 @@ use std::sync::Arc;
 pub struct GpuLayer<'a> {
     device: &'a SceneDevice,
     layer: &'a mut Arc<Gaussians>,
+    /// As the host has it, where it is trained.
+    sky: Option<&'a mut SkyCube>,
     columns: Columns,
-    targets: Vec<Target>,
-    around: Surroundings<'a>,
-    prior: Option<GpuPrior<'a>>,
-    workspace: Workspace<'a>,
-    optimiser: Optimiser<'a>,
+    on_device: OnDevice<'a>,
     /// Number of the step; a Gaussian's gradient with another stamp is stale.
     stamp: u32,
     /// The view at hand.
@@ -34,51 +32,75 @@ pub struct GpuLayer<'a> {
     commands: Option<Commands<'a>>,
 }
 
-impl<'a> GpuLayer<'a> {
-    pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
+/// What a training has on the device.
+struct OnDevice<'a> {
+    targets: Vec<Target<'a>>,
+    around: Surroundings,
+    prior: Option<GpuPrior<'a>>,
+    workspace: Workspace<'a>,
+    optimiser: Optimiser<'a>,
+}
+
+impl<'a> OnDevice<'a> {
+    fn new(device: &'a SceneDevice, task: &LayerTask<'a>, place: Place) -> Result<Self, GpuError> {
         let LayerTask { layer, columns, views, around, prior, fixed, coasts, .. } = task;
         let gpu = &device.gpu;
-        let mut workspace = Workspace::new(gpu, layer.len(), largest_view(&views))?;
-        let targets = targets(&around, &workspace, &views)?;
-        let optimiser = Optimiser::new(gpu, start(device, layer, columns)?, columns)?.moving(fixed, coasts);
+        let mut workspace = Workspace::new(gpu, layer.len(), largest_view(views))?;
+        // Cut layers are a view's own; a sky is drawn anew in each step, into layers that all views share.
+        let shared = Shared::new(gpu, views, place, !matches!(around, Around::Cut(_)))?;
+        let mut targets = Target::all(gpu, views, &shared)?;
+        let optimiser = Optimiser::new(gpu, start(device, layer, *columns)?, *columns)?;
+        let optimiser = optimiser.moving(*fixed, *coasts);
         let seen = gpu.buffer("views of each Gaussian", optimiser.scene.count as u64 * 4)?;
         let around = match around {
             Around::Sky(sky) => Surroundings::Sky(GpuSky::fixed(gpu, sky)?),
             Around::TrainedSky(sky, rate) => {
                 // A mean over pixels: the derivative of one is about this large.
-                let typical = 1.0 / (3 * largest_view(&views)) as f32;
+                let typical = 1.0 / (3 * largest_view(views)) as f32;
                 let trained = GpuSky::trained(gpu, sky)?;
-                trained.prepare(gpu, rate, typical, SKY_DOUBT * typical);
-                Surroundings::Trained(trained, sky)
+                trained.prepare(gpu, *rate, typical, SKY_DOUBT * typical);
+                Surroundings::Trained(trained)
             }
             Around::Cut(layers) => {
-                cut(device, layers, &optimiser.scene, &views, (&targets, &mut workspace), &seen)?;
+                cut(device, *layers, &optimiser.scene, views, (&mut targets, &mut workspace), &seen)?;
                 Surroundings::Cut
             }
         };
         let prior = match prior {
-            Some(prior) => Some(GpuPrior::new(gpu, prior, &optimiser.scene, (seen, mean_pixels(&views)))?),
+            Some(prior) => Some(GpuPrior::new(gpu, *prior, &optimiser.scene, (seen, mean_pixels(views)))?),
             None => None,
         };
-        let mut training = Self {
-            device,
-            columns,
-            around,
-            prior,
-            layer,
-            targets,
-            workspace,
-            optimiser,
-            stamp: 0,
-            at: 0,
-            commands: None,
-        };
-        training.fit()?;
-        Ok(training)
+        let mut made = Self { targets, around, prior, workspace, optimiser };
+        made.fit()?;
+        Ok(made)
     }
 
     fn fit(&mut self) -> Result<(), GpuError> {
         self.workspace.fit(&self.optimiser.scene, &self.targets, OPTIONS)
+    }
+}
+
+impl<'a> GpuLayer<'a> {
+    pub(crate) fn new(device: &'a SceneDevice, task: LayerTask<'a>) -> Result<Self, GpuError> {
+        let on_device = in_short_memory(device, |place| OnDevice::new(device, &task, place))?;
+        let LayerTask { layer, columns, around, .. } = task;
+        let sky = if let Around::TrainedSky(sky, _) = around { Some(sky) } else { None };
+        Ok(Self { device, layer, sky, columns, on_device, stamp: 0, at: 0, commands: None })
+    }
+
+    /// Does what needs memory, and once more without photographs on the device where that is full.
+    fn with_room(
+        &mut self,
+        act: &mut dyn FnMut(&mut OnDevice<'a>) -> Result<(), GpuError>,
+    ) -> Result<(), GpuError> {
+        match act(&mut self.on_device) {
+            Err(GpuError::OutOfMemory) => {
+                self.device.leave_photographs();
+                let left = leave_device(&mut self.on_device.targets, &self.device.gpu)?;
+                if left { act(&mut self.on_device) } else { Err(GpuError::OutOfMemory) }
+            }
+            result => result,
+        }
     }
 
     /// The commands of the step at hand.
@@ -90,7 +112,7 @@ impl<'a> GpuLayer<'a> {
     /// Room is made for half as much again as was needed at the start; beyond that the farthest splats of a view are left
     /// out, until the next revision.
     fn warn_of_missing_room(&self) -> Result<(), GpuError> {
-        if !self.workspace.was_enough()? {
+        if !self.on_device.workspace.was_enough()? {
             tracing::warn!("training: the farthest splats of some views were left out of some steps");
         }
         Ok(())
@@ -99,21 +121,22 @@ impl<'a> GpuLayer<'a> {
     /// Takes the step at hand, by Adam or by a share of the natural step where there is a prior.
     fn descend(&mut self, natural: Option<f32>, rates: &LearningRates) -> Result<(), GpuError> {
         let mut commands = self.recording();
-        let Self { optimiser, stamp, targets, workspace, .. } = self;
-        let target = &targets[self.at];
-        if let (Some(share), Some(prior)) = (natural, &self.prior) {
+        let Self { on_device, stamp, at, .. } = self;
+        let OnDevice { targets, around, prior, workspace, optimiser } = on_device;
+        let target = &targets[*at];
+        if let (Some(share), Some(prior)) = (natural, &prior) {
             prior.prepare(workspace.gpu, (share, rates), *stamp, optimiser.fixed);
             prior.step(&mut commands, optimiser);
         } else {
             optimiser.prepare(rates, *stamp);
             optimiser.step(&mut commands);
         }
-        self.around.step(&mut commands, target, workspace, optimiser.corrections());
+        around.step(&mut commands, target, workspace, optimiser.corrections());
         workspace.gpu.submit(commands)
     }
 
     fn sums(&self) -> Result<GradientSums, GpuError> {
-        let ledger = self.optimiser.ledger()?;
+        let ledger = self.on_device.optimiser.ledger()?;
         Ok(GradientSums {
             norms: ledger.iter().map(|l| l.gradient_norm).collect(),
             views: ledger.iter().map(|l| l.views).collect(),
@@ -134,20 +157,6 @@ fn start(device: &SceneDevice, layer: &Arc<Gaussians>, columns: Columns) -> Resu
     Ok(GpuScene { sh, ..kept })
 }
 
-/// Cut layers are a view's own; a sky is drawn anew in each step, into layers that all views share.
-fn targets(around: &Around, workspace: &Workspace, views: &[TaskView]) -> Result<Vec<Target>, GpuError> {
-    let shared = match around {
-        Around::Sky(_) | Around::TrainedSky(..) => Some(shared_layers(workspace.gpu, views)?),
-        Around::Cut(_) => None,
-    };
-    let target = |task: &TaskView| {
-        let (region, tiles, layers) = (task.region.as_ref(), task.tiles.as_ref(), shared.as_ref());
-        let selection = Selection { region, tiles, layers };
-        Target::new(workspace.gpu, &task.view.camera, &task.view.image, &selection)
-    };
-    views.iter().map(target).collect()
-}
-
 impl Training for GpuLayer<'_> {
     type Error = GpuError;
 
@@ -155,10 +164,11 @@ impl Training for GpuLayer<'_> {
         self.stamp += 1;
         self.at = view;
         let mut commands = self.recording();
-        let Self { workspace, optimiser, targets, .. } = self;
+        let OnDevice { targets, around, workspace, optimiser, .. } = &self.on_device;
         let (scene, target) = (&optimiser.scene, &targets[view]);
+        target.bring(workspace.gpu);
         prepare(workspace.gpu, scene, &target.view, &workspace.scratch, options, self.stamp);
-        self.around.draw(&mut commands, target);
+        around.draw(&mut commands, target);
         render(&mut commands, scene, &target.view, &workspace.scratch);
         workspace.loss(&mut commands, target);
         self.commands = Some(commands);
@@ -167,10 +177,10 @@ impl Training for GpuLayer<'_> {
 
     fn backward(&mut self) -> Result<(), GpuError> {
         let mut commands = self.recording();
-        let Self { workspace, optimiser, targets, .. } = self;
+        let OnDevice { targets, prior, workspace, optimiser, .. } = &self.on_device;
         let target = &targets[self.at];
         backward(&mut commands, &optimiser.scene, &target.view, &workspace.scratch, &optimiser.gradients);
-        if let Some(prior) = &self.prior {
+        if let Some(prior) = prior {
             prior.pull(&mut commands, target, optimiser);
         }
         self.commands = Some(commands);
@@ -187,12 +197,14 @@ impl Training for GpuLayer<'_> {
 
     /// Decided on the host: a few times in a training, 60 bytes per Gaussian.
     fn expected_gain(&mut self) -> Result<Option<f64>, GpuError> {
-        let gain = self.prior.as_ref().map(|prior| prior.expected_gain(&self.optimiser));
+        let OnDevice { prior, optimiser, .. } = &self.on_device;
+        let gain = prior.as_ref().map(|prior| prior.expected_gain(optimiser));
         gain.transpose().map(Option::flatten)
     }
 
     fn progress(&mut self, done: usize, all: usize) -> Result<Option<Progress>, GpuError> {
-        self.workspace.progress(done, all, self.optimiser.scene.count)
+        let OnDevice { workspace, optimiser, .. } = &self.on_device;
+        workspace.progress(done, all, optimiser.scene.count)
     }
 }
 
@@ -203,42 +215,49 @@ impl LayerTraining for GpuLayer<'_> {
         decide: &mut dyn FnMut(&mut Gaussians, &GradientSums) -> Revision,
     ) -> Result<(), GpuError> {
         self.warn_of_missing_room()?;
-        let mut gaussians = self.optimiser.download()?;
+        let mut gaussians = self.on_device.optimiser.download()?;
         let Revision { map, opacities_reset } = decide(&mut gaussians, &self.sums()?);
         let same = map.is_none();
         let map = map.unwrap_or_else(|| IndexMap::identity(gaussians.len()));
-        self.optimiser.replace(&gaussians, &map, (!opacities_reset, same))?;
-        self.fit()
+        self.with_room(&mut |on| on.optimiser.replace(&gaussians, &map, (!opacities_reset, same)))?;
+        self.with_room(&mut OnDevice::fit)
     }
 
     /// Decided on the host: once in a training.
     fn revise_sky(&mut self, decide: &mut dyn FnMut(&Gaussians, &mut SkyCube)) -> Result<(), GpuError> {
-        let Self { device, around, optimiser, .. } = self;
-        let Surroundings::Trained(texels, sky) = around else { return Ok(()) };
+        let Self { device, sky, on_device, .. } = self;
+        let (Some(texels), Some(sky)) = (on_device.around.trained(), sky) else { return Ok(()) };
         texels.download(&device.gpu, sky)?;
-        decide(&optimiser.download()?, sky);
+        decide(&on_device.optimiser.download()?, sky);
         texels.replace(&device.gpu, sky);
         Ok(())
     }
 
     fn must_repeat(&mut self) -> Result<bool, GpuError> {
-        if self.workspace.was_enough()? {
+        if self.on_device.workspace.was_enough()? {
             return Ok(false);
         }
-        self.workspace.grow()?;
-        let scene = start(self.device, self.layer, self.columns)?;
-        let Optimiser { fixed, coasts, .. } = self.optimiser;
-        self.optimiser = Optimiser::new(self.workspace.gpu, scene, self.columns)?.moving(fixed, coasts);
+        self.with_room(&mut |on| on.workspace.grow())?;
+        let (device, layer, columns) = (self.device, self.layer.clone(), self.columns);
+        self.with_room(&mut |on| {
+            let Optimiser { fixed, coasts, .. } = on.optimiser;
+            let scene = start(device, &layer, columns)?;
+            on.optimiser = Optimiser::new(&device.gpu, scene, columns)?.moving(fixed, coasts);
+            Ok(())
+        })?;
         self.stamp = 0;
-        self.fit()?;
+        self.with_room(&mut OnDevice::fit)?;
         Ok(true)
     }
 
     fn download(self) -> Result<(), GpuError> {
         self.warn_of_missing_room()?;
-        let Self { device, layer, columns, around, optimiser, .. } = self;
+        let Self { device, layer, sky, columns, on_device, .. } = self;
+        let OnDevice { around, optimiser, .. } = on_device;
         let trained = optimiser.download()?;
-        around.download(&device.gpu)?;
+        if let (Some(texels), Some(sky)) = (around.trained(), sky) {
+            texels.download(&device.gpu, sky)?;
+        }
         *layer = Arc::new(trained);
         if !columns.geometry() {
             device.keep(layer, optimiser.scene);

@@ -4,25 +4,24 @@ use crate::kernels;
 use crate::sky::GpuSky;
 use crate::target::Target;
 use crate::workspace::{OPTIONS, Workspace};
-use ffgs_core::SkyCube;
-use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
+use ffgs_gpu::{Buffer, Commands, GpuError, Groups};
 use ffgs_rasterizer_gpu::{
     GpuScene, SceneDevice, bin_to_tiles, count_views, prepare, render_split, tile_depths,
 };
 use ffgs_trainer::{CutLayers, TaskView};
 
 /// [`ffgs_trainer::Around`] with its content on the device; cut layers are in the targets.
-pub(crate) enum Surroundings<'a> {
+pub(crate) enum Surroundings {
     Sky(GpuSky),
-    Trained(GpuSky, &'a mut SkyCube),
+    Trained(GpuSky),
     Cut,
 }
 
-impl Surroundings<'_> {
+impl Surroundings {
     /// Puts the sky into the layers of a target's view.
     pub(crate) fn draw(&self, commands: &mut Commands, target: &Target) {
         match self {
-            Self::Sky(sky) | Self::Trained(sky, _) => sky.draw(commands, target),
+            Self::Sky(sky) | Self::Trained(sky) => sky.draw(commands, target),
             Self::Cut => {}
         }
     }
@@ -35,17 +34,14 @@ impl Surroundings<'_> {
         workspace: &Workspace,
         corrections: &Buffer,
     ) {
-        if let Self::Trained(sky, _) = self {
+        if let Self::Trained(sky) = self {
             sky.step(commands, target, &workspace.scratch, corrections);
         }
     }
 
-    /// Writes a trained sky back. Waits for the device.
-    pub(crate) fn download(self, gpu: &Gpu) -> Result<(), GpuError> {
-        match self {
-            Self::Trained(sky, texels) => sky.download(gpu, texels),
-            Self::Sky(_) | Self::Cut => Ok(()),
-        }
+    /// The sky, if it is trained.
+    pub(crate) fn trained(&self) -> Option<&GpuSky> {
+        if let Self::Trained(sky) = self { Some(sky) } else { None }
     }
 }
 
@@ -56,7 +52,7 @@ pub(crate) fn cut(
     layers: CutLayers,
     layer: &GpuScene,
     views: &[TaskView],
-    (targets, workspace): (&[Target], &mut Workspace),
+    (targets, workspace): (&mut [Target], &mut Workspace),
     seen: &Buffer,
 ) -> Result<(), GpuError> {
     let gpu = &device.gpu;
@@ -65,7 +61,7 @@ pub(crate) fn cut(
         workspace.fit(scene, targets, OPTIONS)?;
     }
     let sky = GpuSky::fixed(gpu, layers.sky)?;
-    for (target, task) in targets.iter().zip(views) {
+    for (target, task) in targets.iter_mut().zip(views) {
         let weight = layers.outside_alpha / task.view.mask.count() as f32;
         let weight = gpu.uniform("penalty", &[weight, 0.0, 0.0, 0.0])?;
         let (view, scratch) = (&target.view, &workspace.scratch);
@@ -89,6 +85,7 @@ pub(crate) fn cut(
             let buffers = [view.uniform(), &weight, view.slot_list(), &target.region, &view.layers];
             commands.run(&kernels::ALPHA_PENALTY, &buffers, Groups::of(view.slots(), 1));
         })?;
+        target.keep_layers(gpu)?;
     }
     Ok(())
 }

@@ -6,10 +6,11 @@ mod scene;
 
 use crate::optimiser::Optimiser;
 use crate::prior::GpuPrior;
-use crate::target::{Selection, Target};
+use crate::target::{Shared, Target, leave_device};
 use crate::workspace::{OPTIONS, Workspace, largest_view};
 use ffgs_core::{Gaussians, Mask, PlanarImage, SkyCube};
 use ffgs_gpu::Gpu;
+use ffgs_rasterizer::constants::AREA;
 use ffgs_rasterizer::{Background, CpuRasterizer, Information, RenderTape, TileMask, View};
 use ffgs_rasterizer_gpu::{GpuScene, Ledger, bin_to_tiles, count_views, prepare};
 use ffgs_trainer::constants::LONGEST;
@@ -36,8 +37,7 @@ fn the_loss_and_its_gradient_agree() {
     let pixels: Vec<[f32; 4]> =
         (0..SIZE.pixels()).map(|p| rendered.pixel(p)).map(|[r, g, b]| [r, g, b, 1.0]).collect();
     for region in [None, Some(half(13)), Some(Mask::filled(SIZE, false))] {
-        let selection = Selection { region: region.as_ref(), tiles: None, layers: None };
-        let target = Target::new(&gpu, &views[0].camera, &views[0].image, &selection).unwrap();
+        let target = Target::new(&gpu, &views[0], (region.as_ref(), None), &Shared::default()).unwrap();
         let workspace = Workspace::new(&gpu, 1, SIZE.pixels()).unwrap();
         gpu.write(&workspace.scratch.pixels, &pixels);
         let mut commands = gpu.commands();
@@ -229,8 +229,7 @@ fn the_pull_of_the_prior_agrees() {
         (gpu.upload("views", &seen).unwrap(), 500),
     );
     let region = half(13);
-    let selection = Selection { region: Some(&region), tiles: None, layers: None };
-    let target = Target::new(&gpu, &views[0].camera, &views[0].image, &selection).unwrap();
+    let target = Target::new(&gpu, &views[0], (Some(&region), None), &Shared::default()).unwrap();
     let drawn = |i: usize| !i.is_multiple_of(3);
     let ledger: Vec<Ledger> =
         (0..50).map(|i| Ledger { stamp: u32::from(drawn(i)), ..Ledger::default() }).collect();
@@ -264,8 +263,7 @@ fn views_that_see_a_gaussian_are_counted_as_on_the_cpu() {
     let mut expected = vec![0; layer.len()];
     for view in &world.views {
         let tiles = TileMask::covering(&view.mask);
-        let selection = Selection { region: None, tiles: Some(&tiles), layers: None };
-        let target = Target::new(&gpu, &view.camera, &view.image, &selection).unwrap();
+        let target = Target::new(&gpu, view, (None, Some(&tiles)), &Shared::default()).unwrap();
         let tasks = [TaskView { view, region: None, tiles: None }];
         let mut workspace = Workspace::new(&gpu, layer.len(), largest_view(&tasks)).unwrap();
         workspace.fit(&scene, std::slice::from_ref(&target), OPTIONS).unwrap();
@@ -282,4 +280,36 @@ fn views_that_see_a_gaussian_are_counted_as_on_the_cpu() {
     }
     assert_eq!(gpu.download::<u32>(&counts, layer.len()).unwrap(), expected);
     assert!(expected.contains(&4) && expected.iter().any(|&n| n < 4), "{expected:?}");
+}
+
+#[test]
+#[ignore = "needs a GPU"]
+fn what_leaves_the_device_comes_back_for_each_view() {
+    let (gpu, world) = (Gpu::for_test(), world());
+    let mut targets: Vec<Target> = world
+        .views
+        .iter()
+        .map(|view| {
+            let tiles = TileMask::covering(&view.mask);
+            Target::new(&gpu, view, (None, Some(&tiles)), &Shared::default()).unwrap()
+        })
+        .collect();
+    let layers = |t: usize, target: &Target| vec![[t as f32, 0.5, 0.0, 1.0]; target.view.slots() * AREA * 2];
+    targets.iter().enumerate().for_each(|(t, target)| gpu.write(&target.view.layers, &layers(t, target)));
+    let before = gpu.memory_held();
+    assert!(leave_device(&mut targets, &gpu).unwrap());
+    assert!(gpu.memory_held() < before);
+    for t in [2, 0, 3, 1, 0] {
+        let target = &targets[t];
+        target.bring(&gpu);
+        let expected = layers(t, target);
+        assert_eq!(
+            gpu.download::<[f32; 4]>(&target.view.layers, expected.len()).unwrap(),
+            expected,
+            "view {t}"
+        );
+        let image = world.views[t].image.data();
+        assert_eq!(gpu.download::<u8>(&target.photograph, image.len()).unwrap(), image, "view {t}");
+    }
+    assert!(!leave_device(&mut targets, &gpu).unwrap(), "nothing is left");
 }

@@ -3,9 +3,9 @@
 use crate::kernels;
 use crate::target::Target;
 use ffgs_gpu::{Buffer, Commands, Gpu, GpuError, Groups};
-use ffgs_rasterizer::{RenderOptions, TILE};
+use ffgs_rasterizer::RenderOptions;
 use ffgs_rasterizer_gpu::{
-    Capacity, GpuScene, GpuView, Scratch, VIEWS_PER_SUBMISSION, bin_to_tiles, prepare,
+    Capacity, GpuScene, Place, SceneDevice, Scratch, VIEWS_PER_SUBMISSION, bin_to_tiles, prepare,
 };
 use ffgs_trainer::{Progress, TaskView};
 
@@ -122,11 +122,18 @@ pub(crate) fn largest_view(views: &[TaskView]) -> usize {
     views.iter().map(|v| v.view.camera.size().pixels()).max().unwrap_or(1)
 }
 
-/// Layers that hold the largest of some views whole.
-pub(crate) fn shared_layers(gpu: &Gpu, views: &[TaskView]) -> Result<Buffer, GpuError> {
-    let tiles = |v: &TaskView| {
-        let size = v.view.camera.size();
-        size.width.div_ceil(TILE) * size.height.div_ceil(TILE)
-    };
-    gpu.buffer("layers", GpuView::layer_bytes(views.iter().map(tiles).max().unwrap_or(1)))
+/// What `make` makes, with photographs where trainings of the device keep them; once more with these on the host where the
+/// memory of the device is too small.
+pub(crate) fn in_short_memory<T>(
+    device: &SceneDevice,
+    make: impl Fn(Place) -> Result<T, GpuError>,
+) -> Result<T, GpuError> {
+    let place = device.place_of_photographs();
+    match make(place) {
+        Err(GpuError::OutOfMemory) if place == Place::Device => {
+            device.leave_photographs();
+            make(Place::Host)
+        }
+        made => made,
+    }
 }

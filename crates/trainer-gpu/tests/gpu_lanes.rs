@@ -4,7 +4,7 @@ mod scene;
 
 use ffgs_core::{Gaussians, SkyCube, StageLog, TrainingView};
 use ffgs_gpu::{Gpu, GpuError};
-use ffgs_rasterizer_gpu::SceneDevice;
+use ffgs_rasterizer_gpu::{Place, SceneDevice};
 use ffgs_trainer::{
     BackgroundConfig, CpuBackend, DynamicLaneConfig, FirstFrame, FirstFrameConfig, FirstFrameTask,
     PixelNoise, Prior, StaticColours, StaticLane, StaticMethod, StaticTargets, Surroundings, TrainBackend,
@@ -264,4 +264,49 @@ fn a_lane_without_memory_ends_with_an_error_and_leaves_its_layer_alone() {
         device.forget();
         assert_eq!(device.gpu.memory_held(), 0, "a lane that failed keeps nothing");
     }
+}
+
+/// Every lane on a device: dynamic, static and sky, and a first frame that grows.
+fn all_lanes(device: &SceneDevice) -> Result<([Gaussians; 3], [SkyCube; 2]), GpuError> {
+    let (backend, world) = (GpuBackend(device), world());
+    let config = DynamicLaneConfig { iterations: 12, ..DynamicLaneConfig::default() };
+    let mut moving = perturbed(&world.moving, 8);
+    world.dynamic(&backend, &config, world.around(), &mut moving)?;
+    let config = BackgroundConfig {
+        static_method: StaticMethod::Steps,
+        static_iterations: 12,
+        sky_iterations: 12,
+        ..BackgroundConfig::default()
+    };
+    let (mut layer, mut cube) = (world.fixed.clone(), world.sky.clone());
+    static_steps(&backend, &config, (&world.views, &world.sky), &mut layer)?;
+    train_sky(&backend, &config, &world.views, &world.fixed, &mut cube, 5)?;
+    let config = FirstFrameConfig { iterations: 60, densify_every: 10, ..FirstFrameConfig::default() };
+    let start = FirstFrame { gaussians: world.moving, sky: world.sky };
+    let task = FirstFrameTask { views: &world.views, start, extent: 2.0, seed: 4 };
+    let log = &mut StageLog::default();
+    let first = train_first_frame(&backend, &config, task, &mut |_| None, log, &mut |_| {})?;
+    Ok(([moving, (*layer).clone(), first.gaussians], [cube, first.sky]))
+}
+
+#[test]
+#[ignore = "needs a GPU"]
+fn photographs_that_do_not_fit_cross_one_by_one_to_the_same_bits() {
+    let with_limit = |limit: u64| {
+        let device = SceneDevice::new(Gpu::for_test().with_memory_limit(limit));
+        (all_lanes(&device), device)
+    };
+    let (expected, roomy) = with_limit(u64::MAX);
+    let expected = expected.unwrap();
+    assert_eq!(roomy.place_of_photographs(), Place::Device);
+    let peak = roomy.gpu.memory_peak();
+    let (found, short) = with_limit(peak - 1);
+    assert!(found.unwrap() == expected, "other results");
+    assert_eq!(short.place_of_photographs(), Place::Host);
+    assert!(short.gpu.memory_peak() < peak);
+    assert!(short.gpu.traffic().up > roomy.gpu.traffic().up, "photographs cross more than once");
+    let never = SceneDevice::new(Gpu::for_test());
+    never.leave_photographs();
+    assert!(all_lanes(&never).unwrap() == expected, "other results where no lane begins with photographs");
+    assert!(never.gpu.memory_peak() < peak);
 }

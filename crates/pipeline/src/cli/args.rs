@@ -151,7 +151,8 @@ pub struct RunArgs {
     #[arg(long, value_name = "N")]
     pub keep: Option<NonZeroUsize>,
     /// Most memory that the run may take [default: what the machine has free]; one that needs more does not start, and says
-    /// what to change; where it is just enough, the next frame's photographs are not read ahead
+    /// what to change; where it is just enough, the next frame's photographs are not read ahead. Each GPU may take as much [default:
+    /// what its driver gives]; where that is too little for all photographs, they cross to it one by one
     #[arg(long, value_name = "MIB")]
     pub memory: Option<usize>,
     /// Messages.

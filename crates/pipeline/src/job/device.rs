@@ -39,6 +39,14 @@ impl Device {
     /// # Errors
     /// When an adapter that was asked for does not exist or cannot be used.
     pub fn open(&self) -> Result<Vec<SceneDevice>> {
+        self.open_within(None)
+    }
+
+    /// As [`open`](Self::open); each GPU may take so much memory (MiB) at most.
+    ///
+    /// # Errors
+    /// Those of [`open`](Self::open).
+    pub(crate) fn open_within(&self, memory: Option<usize>) -> Result<Vec<SceneDevice>> {
         let gpus: Vec<Gpu> = match self {
             Self::Cpu => Vec::new(),
             Self::Auto => ffgs_gpu::hardware_adapters().into_iter().filter_map(open_or_warn).collect(),
@@ -51,12 +59,22 @@ impl Device {
         if gpus.is_empty() {
             tracing::info!("computing on the CPU");
         }
-        Ok(gpus.into_iter().map(SceneDevice::new).collect())
+        let limited = |gpu: Gpu| match memory {
+            Some(mib) => gpu.with_memory_limit((mib as u64) << 20),
+            None => gpu,
+        };
+        Ok(gpus.into_iter().map(limited).map(SceneDevice::new).collect())
     }
 }
 
 fn open_or_warn(index: usize) -> Option<Gpu> {
     Gpu::open(Some(index)).map_err(|error| tracing::warn!("gpu:{index} is left out: {error}")).ok()
+}
+
+/// Most memory that any of some GPUs has held (MiB); `None` without GPUs.
+pub(crate) fn peak_mib(gpus: &[SceneDevice]) -> Option<f64> {
+    let peak = gpus.iter().map(|device| device.gpu.memory_peak()).max()?;
+    Some(peak as f64 / f64::from(1 << 20))
 }
 
 /// Name of what computes, for the record of a run: results are the same on equal devices only, however many.

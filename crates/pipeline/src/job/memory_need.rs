@@ -8,7 +8,7 @@ use crate::job::memory;
 use crate::job::request::RunRequest;
 use crate::outputs::folder::RunFolder;
 use crate::settings::config::Config;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use ffgs_method::{Capture, Part, ViewAt};
 use ffgs_trainer::FirstFrameConfig;
 use std::path::Path;
@@ -25,6 +25,13 @@ const SOLVED: usize = 960;
 const SOLVED_PIXEL: usize = 5;
 /// Bytes of a Gaussian in a state file, and of an initial point in its file, about.
 const SAVED: [u64; 2] = [240, 28];
+/// Bytes of a Gaussian on a GPU: as it is trained, twice while density control makes new ones of the old; and a splat with its
+/// first (tile, splat) pairs, as `ffgs_rasterizer_gpu::Scratch` has them.
+const GAUSSIAN_ON_GPU: usize = 2 * GAUSSIAN + 120 + 4 * 4 + 8 * 64;
+/// Bytes of a pixel of the largest view on a GPU: image, derivatives, sums of the loss, layers behind and before.
+const PIXEL_ON_GPU: usize = 36 + 96 + 32;
+/// What the parts of a view's tiles take on a GPU (MiB).
+const PARTS_ON_GPU: f64 = 16.0;
 /// What the sums leave out, as a factor: 1.08 was measured at two fifths of the paper's size, and more on small captures.
 const REST: f64 = 1.25;
 /// The program itself (MiB).
@@ -47,6 +54,8 @@ struct Need {
     ahead: f64,
     solve: f64,
     gaussians: f64,
+    /// On a GPU, with photographs that cross to it one by one.
+    gpu: f64,
 }
 
 /// What the need depends on.
@@ -54,6 +63,8 @@ struct Need {
 struct Size {
     /// Pixels of the training views, and of the views that only frame 0 has.
     pixels: [usize; 2],
+    /// Pixels of the largest of the training views.
+    largest: usize,
     gaussians: usize,
     /// Whether the first frame is trained.
     begins: bool,
@@ -81,6 +92,7 @@ impl Need {
             ahead: mib(PIXEL * training),
             solve: mib(solve),
             gaussians: mib(GAUSSIAN * size.gaussians),
+            gpu: mib(GAUSSIAN_ON_GPU * size.gaussians + PIXEL_ON_GPU * size.largest) + PARTS_ON_GPU,
         }
     }
 
@@ -96,6 +108,19 @@ impl Need {
         } else {
             fits(self.total()).then_some(Room::ForTheRun)
         }
+    }
+
+    /// Refuses a GPU that may take less than it needs (MiB).
+    fn require_on_gpu(&self, budget: f64) -> Result<()> {
+        let gib = |mib: f64| mib / 1024.0;
+        ensure!(
+            self.gpu <= budget,
+            "the run needs about {:.2} GiB of the GPU's memory and may take {:.2} GiB. Use fewer Gaussians (first_frame.max_gaussians) \
+             or smaller images, --device cpu, or say with --memory how much it may take (MiB)",
+            gib(self.gpu),
+            gib(budget)
+        );
+        Ok(())
     }
 
     /// What does not fit, and what to change.
@@ -123,7 +148,7 @@ fn copies(config: &FirstFrameConfig) -> f64 {
 }
 
 /// Refuses a run that needs more than it may take: `--memory`, else what the machine has free. Where the system does not tell,
-/// nothing is refused. Results are the same with and without reading ahead.
+/// nothing is refused. What a GPU has free is not known before it is taken: `--memory` alone limits it. Results are the same with and without reading ahead.
 ///
 /// # Errors
 /// When it would not fit: what needs how much, and what to change. When a camera cannot be read.
@@ -131,16 +156,18 @@ pub(crate) fn require(
     request: &RunRequest,
     capture: &dyn Capture,
     views: &[usize],
-    streams: bool,
+    (streams, on_gpu): (bool, bool),
 ) -> Result<Room> {
     let Some(budget) = request.memory.map(|mib| mib as f64).or_else(memory::free_mib) else {
         return Ok(Room::ForReadingAhead);
     };
-    let pixels = |views: &[ViewAt]| -> Result<usize> {
-        views.iter().map(|&at| Ok(capture.camera(at)?.size().pixels())).sum()
+    let pixels = |views: &[ViewAt]| -> Result<Vec<usize>> {
+        views.iter().map(|&at| Ok(capture.camera(at)?.size().pixels())).collect()
     };
     let start = request.frames.map_or(0, |frames| frames.start);
-    let pixels = [pixels(&training_views(views, start))?, pixels(&init_views(capture, start))?];
+    let [training, initial] = [pixels(&training_views(views, start))?, pixels(&init_views(capture, start))?];
+    let largest = training.iter().chain(&initial).copied().max().unwrap_or(0);
+    let pixels = [training.iter().sum(), initial.iter().sum()];
     let gaussians = if let Some(run) = &request.first_frame {
         contained(&RunFolder(run.clone()).state(start), SAVED[0])
     } else {
@@ -151,7 +178,10 @@ pub(crate) fn require(
         started.max(first.for_photographs(views.len(), pixels.iter().sum()).max_gaussians)
     };
     let begins = request.first_frame.is_none();
-    let need = Need::new(&request.config, Size { pixels, gaussians, begins, streams });
+    let need = Need::new(&request.config, Size { pixels, largest, gaussians, begins, streams });
+    if let (Some(mib), true) = (request.memory, on_gpu) {
+        need.require_on_gpu(mib as f64)?;
+    }
     let room = need.room(budget).with_context(|| need.told(budget))?;
     tracing::debug!("about {:.0} MiB of memory, {budget:.0} MiB may be taken", need.total());
     if room == Room::ForTheRun {
@@ -170,8 +200,13 @@ mod tests {
     use super::*;
     use ffgs_trainer::StaticMethod;
 
-    const PAPER: Size =
-        Size { pixels: [60 * 1920 * 1080, 0], gaussians: 1_200_000, begins: false, streams: true };
+    const PAPER: Size = Size {
+        pixels: [60 * 1920 * 1080, 0],
+        largest: 1920 * 1080,
+        gaussians: 1_200_000,
+        begins: false,
+        streams: true,
+    };
 
     #[test]
     fn a_first_frame_holds_copies_of_its_photographs() {
@@ -194,6 +229,20 @@ mod tests {
     fn the_papers_size_needs_what_it_was_computed_to_need() {
         let need = Need::new(&Config::default(), PAPER).total() / 1024.0;
         assert!((7.0..10.0).contains(&need), "{need} GiB");
+    }
+
+    #[test]
+    fn a_gpu_needs_more_with_more_gaussians_or_larger_views_and_says_so() {
+        let need = |size| Need::new(&Config::default(), size);
+        let papers = need(PAPER);
+        assert!((2.5..4.0).contains(&(papers.gpu / 1024.0)), "{} MiB", papers.gpu);
+        assert!(need(Size { gaussians: 600_000, ..PAPER }).gpu < papers.gpu);
+        assert!(need(Size { largest: 320 * 180, ..PAPER }).gpu < papers.gpu);
+        let more_views = Size { pixels: [120 * 1920 * 1080, 0], ..PAPER };
+        assert_eq!(need(more_views).gpu, papers.gpu, "photographs can cross one by one");
+        assert!(papers.require_on_gpu(papers.gpu + 1.0).is_ok());
+        let told = papers.require_on_gpu(2048.0).unwrap_err().to_string();
+        assert!(told.contains("may take 2.00 GiB") && told.contains("--memory"), "{told}");
     }
 
     #[test]

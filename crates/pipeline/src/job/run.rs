@@ -122,7 +122,7 @@ impl<'a> Job<'a> {
         }
         let folder = RunFolder(request.out.clone());
         require_start(request, &folder, frames.start)?;
-        let gpus = request.device.open()?;
+        let gpus = request.device.open_within(request.memory)?;
         // A method that cannot be made leaves the output folder untouched.
         let context = MethodContext { config: &request.config, tracks: &tracks, gpu: gpus.first() };
         let method = match &request.method {
@@ -136,7 +136,7 @@ impl<'a> Job<'a> {
             None => MethodChoice::default().build(&context).map(|_| MethodChoice::default())?,
         };
         let by_lanes = method == MethodChoice::default() && frames.len() > 1;
-        let room = memory_need::require(request, &*capture, &views, by_lanes)?;
+        let room = memory_need::require(request, &*capture, &views, (by_lanes, !gpus.is_empty()))?;
         let read_ahead = if room == Room::ForReadingAhead { frames.clone() } else { 0..0 };
         let manifest = Manifest::new(request, &method, &*capture, &frames, device::name(&gpus))?;
         if let Some(run) = &request.first_frame {
@@ -415,6 +415,7 @@ impl<'a> Job<'a> {
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
         record.peak_memory_mib = memory::peak_mib();
+        record.gpu_memory_mib = device::peak_mib(&self.gpus);
         (record.read_mib, record.processor_seconds) = (memory::read_mib(), memory::processor_seconds());
         let method = &reconstructor.method;
         let stored = method.store(scene, &folder).with_context(|| reconstructor.named("storage"))?;

@@ -26,9 +26,14 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
     for (what, count) in metrics.frames.iter().flat_map(|f| &f.log.skips) {
         *skips.entry(what.clone()).or_default() += count;
     }
-    if let Some(peak) = metrics.frames.iter().filter_map(|f| f.peak_memory_mib).reduce(f64::max) {
-        facts.push(Fact { name: "peak memory".into(), value: format!("{peak:.0} MiB") });
-    }
+    let peak =
+        |held: fn(&FrameRecord) -> Option<f64>| metrics.frames.iter().filter_map(held).reduce(f64::max);
+    let memory =
+        [("peak memory", peak(|f| f.peak_memory_mib)), ("peak memory of a GPU", peak(|f| f.gpu_memory_mib))];
+    let fact = |(name, mib): (&str, Option<f64>)| {
+        Some(Fact { name: name.into(), value: format!("{:.0} MiB", mib?) })
+    };
+    facts.extend(memory.into_iter().filter_map(fact));
     let changing = metrics.frames.iter().filter(|f| folder.exposures_of(f.frame).exists()).count();
     let exposures = exposures_fact(&read_usual(folder)?, changing);
     facts.extend(exposures.map(|value| Fact { name: "exposures".into(), value }));

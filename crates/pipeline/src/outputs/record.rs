@@ -60,6 +60,9 @@ pub struct FrameRecord {
     /// Most memory that the program had held when the frame was done (MiB); absent where the system does not say.
     #[serde(default)]
     pub peak_memory_mib: Option<f64>,
+    /// Most memory that buffers on one GPU had held when the frame was done (MiB); absent on a CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu_memory_mib: Option<f64>,
     /// What the program had read from files when the frame was done (MiB); absent as above.
     #[serde(default)]
     pub read_mib: Option<f64>,

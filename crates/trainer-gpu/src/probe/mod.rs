@@ -6,7 +6,7 @@ pub use floor::{Counts, Floor};
 
 use crate::optimiser::Optimiser;
 use crate::sky::GpuSky;
-use crate::target::{Selection, Target};
+use crate::target::{Shared, Target};
 use crate::workspace::Workspace;
 use ffgs_core::{Gaussians, SkyCube, TrainingView};
 use ffgs_gpu::{Commands, Gpu, GpuError, KernelTime};
@@ -35,7 +35,7 @@ pub enum Part {
 pub struct Probe<'a> {
     workspace: Workspace<'a>,
     optimiser: Optimiser<'a>,
-    target: Target,
+    target: Target<'a>,
     options: RenderOptions,
     stamp: Cell<u32>,
 }
@@ -52,11 +52,10 @@ impl<'a> Probe<'a> {
     pub fn new(
         gpu: &'a Gpu,
         gaussians: &Gaussians,
-        view: &TrainingView,
+        view: &'a TrainingView,
         options: RenderOptions,
     ) -> Result<Self, GpuError> {
-        let selection = Selection { region: None, tiles: None, layers: None };
-        let target = Target::new(gpu, &view.camera, &view.image, &selection)?;
+        let target = Target::new(gpu, view, (None, None), &Shared::default())?;
         let optimiser = Optimiser::new(gpu, GpuScene::upload(gpu, gaussians)?, Columns::ALL)?;
         let mut workspace = Workspace::new(gpu, gaussians.len(), view.camera.size().pixels())?;
         workspace.fit(&optimiser.scene, std::slice::from_ref(&target), options)?;

@@ -97,7 +97,8 @@ struct WorkArgs {
     /// Where to compute; auto = a hardware GPU where there is one, else the CPU
     #[arg(long, value_name = "auto|cpu|gpu[:N,N]", default_value = "auto")]
     device: Device,
-    /// Most memory that a job may take [default: what the machine has free]; one that needs more does not start
+    /// Most memory that a job may take [default: what the machine has free], and as much of each GPU; one that needs more does not
+    /// start
     #[arg(long, value_name = "MIB")]
     memory: Option<usize>,
     /// Messages.
