@@ -90,12 +90,19 @@ impl Reconstructor<'_> {
             Finetuning::ByLanes => {
                 let prior = known.as_ref().map(Predicted::prior);
                 let left_out = self.find_left_out(&state.scene, &coarse.views, log)?;
-                let (dynamic_lane, views, coarse) = (self.config.dynamic, &now[..], &coarse);
-                let start = FrameStart { frame, dynamic_lane, prior, views, coarse, left_out: &left_out.all };
+                let start = FrameStart {
+                    frame,
+                    dynamic_lane: self.config.dynamic,
+                    prior,
+                    views: &now,
+                    coarse: &coarse,
+                    left_out: &left_out.all,
+                    trains_background: frame.is_multiple_of(self.config.background.every),
+                };
                 self.train_lanes(&start, &mut state, log)?;
                 self.train_disoccluded(frame, &mut state, &now, log)?;
                 self.remove_denied(frame, &mut state, &left_out.denied, log);
-                learn(&mut state.scene, known.as_ref(), coarse, log);
+                learn(&mut state.scene, known.as_ref(), &coarse, log);
             }
             Finetuning::Done => {}
         }
@@ -116,7 +123,15 @@ impl Reconstructor<'_> {
         let prior = known.as_ref().map(Predicted::prior);
         let views = std::mem::take(&mut state.views);
         let coarse = &self.reduced(&state.scene, &views);
-        let start = FrameStart { frame, dynamic_lane, prior, views: &views, coarse, left_out: &[] };
+        let start = FrameStart {
+            frame,
+            dynamic_lane,
+            prior,
+            views: &views,
+            coarse,
+            left_out: &[],
+            trains_background: true,
+        };
         self.train_lanes(&start, state, log)?;
         learn(&mut state.scene, known.as_ref(), coarse, log);
         state.views = views;

@@ -24,6 +24,8 @@ pub(crate) struct FrameStart<'a> {
     /// Static Gaussians that what moves covers or that stand before it, ascending: the dynamic and the sky lane are trained without them, and they are transparent in this frame. The static
     /// lane keeps them, as its linear system has to stay the same from frame to frame.
     pub left_out: &'a [u32],
+    /// Whether the static layer and the sky are trained as well.
+    pub trains_background: bool,
 }
 
 impl Reconstructor<'_> {
@@ -35,7 +37,7 @@ impl Reconstructor<'_> {
         log: &mut StageLog,
     ) -> Result<()> {
         let (config, devices, seed) = (&self.config, self.devices, self.seed(start.frame));
-        let FrameStart { ref dynamic_lane, prior, views, coarse, left_out, .. } = *start;
+        let FrameStart { ref dynamic_lane, prior, views, coarse, left_out, trains_background, .. } = *start;
         let State { scene, static_lane, .. } = state;
         let (static_start, sky_start) = (scene.without(left_out), scene.sky.clone());
         let (before, mut passing) = (Arc::clone(&scene.static_layer), Vec::new());
@@ -55,7 +57,8 @@ impl Reconstructor<'_> {
             standing.factor
         );
         let show_dynamic = self.monitor.begin(stage::DYNAMIC, dynamic_lane.iterations);
-        let show_static = self.monitor.begin(stage::STATIC, config.background.static_passes());
+        let passes = if trains_background { config.background.static_passes() } else { 0 };
+        let show_static = self.monitor.begin(stage::STATIC, passes);
         let background = &config.background;
         let train_dynamic = || {
             let layer = &mut dynamic.gaussians;
@@ -63,12 +66,20 @@ impl Reconstructor<'_> {
             devices.dynamic(dynamic_lane, &coarse.views, around, layer, seed, &mut |p| show_dynamic(p))
         };
         let train_static = || {
+            if !trains_background {
+                return Ok(());
+            }
             let targets = StaticTargets { views: &standing.views, sky: &sky_start };
             let passing = &mut passing;
             let colours = StaticColours { layer: static_layer, variances: static_colours, passing };
             devices.static_layer(static_lane, background, targets, colours, seed, &mut |p| show_static(p))
         };
-        let train_sky = || devices.sky(background, &standing.views, &static_start, sky, seed);
+        let train_sky = || {
+            if !trains_background {
+                return Ok(());
+            }
+            devices.sky(background, &standing.views, &static_start, sky, seed)
+        };
         let (dynamic_s, static_s, sky_s) =
             devices.together(|| timed(train_dynamic), || timed(train_static), || timed(train_sky));
         let (steps, dynamic_s) = dynamic_s?;

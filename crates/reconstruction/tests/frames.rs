@@ -106,6 +106,26 @@ fn few_views_take_a_short_trial_and_a_short_first_frame() {
 }
 
 #[test]
+fn the_background_is_trained_in_the_frames_that_are_due() {
+    let world = World::new(COUNT, DVec3::ZERO);
+    let (tracks, begun) = ([world.tracker()], Begun::default());
+    let mut reconstructor = Reconstructor { monitor: &begun, ..reconstructor(&world, &tracks) };
+    reconstructor.config.background.every = 2;
+    let mut state = first(&mut reconstructor, &world);
+    for frame in 1..=4 {
+        let (static_layer, sky) = (state.scene.static_layer.clone(), state.scene.sky.clone());
+        begun.0.lock().unwrap().clear();
+        let (now, log) = (world.training(frame), &mut StageLog::default());
+        state = reconstructor.later_frame(frame, state, now, log, &mut |_, _, _| Ok(())).unwrap();
+        let passes = begun.0.lock().unwrap().iter().find(|(name, _)| *name == stage::STATIC).unwrap().1;
+        assert_eq!(passes > 0, frame % 2 == 0, "frame {frame}");
+        if frame % 2 == 1 {
+            assert!(state.scene.static_layer == static_layer && state.scene.sky == sky, "frame {frame}");
+        }
+    }
+}
+
+#[test]
 fn an_error_of_the_caller_ends_the_frame() {
     let world = World::new(COUNT, DVec3::ZERO);
     let tracks = [world.tracker()];

@@ -22,6 +22,8 @@ pub enum StaticMethod {
 pub struct BackgroundConfig {
     /// How the static layer's colours are found.
     pub static_method: StaticMethod,
+    /// Frames from one training of the static layer and the sky to the next.
+    pub every: usize,
     /// Iterations of conjugate gradients per frame, each over all views; method `solve`.
     pub solve_iterations: usize,
     /// SH degree up to which the solve changes colours.
@@ -63,6 +65,7 @@ impl Default for BackgroundConfig {
     fn default() -> Self {
         Self {
             static_method: StaticMethod::Solve,
+            every: 1,
             solve_iterations: 4,
             solve_degree: 3,
             solve_noise: 0.05,

@@ -103,6 +103,7 @@ const RANGES: &[(&str, Range)] = &[
     ("dynamic.sh_rest_rate", RATE),
     ("dynamic.loss_dilation", DILATION),
     ("dynamic.outside_alpha", closed(0.0, 1e6)),
+    ("background.every", COUNT),
     ("background.solve_degree", DEGREE),
     ("background.solve_noise", DECAYING_RATE),
     ("background.solve_sh0_change", POSITIVE),

@@ -6,10 +6,13 @@ use crate::job::device::Device;
 use crate::job::request::{FrameRange, RunRequest};
 use crate::outputs::folder::RunFolder;
 use anyhow::{Result, ensure};
-use ffgs_trainer::StaticMethod;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::str::FromStr;
+
+/// Frames from one training of the static layer and the sky to the next in the scout, in those of a run: all of them make seams no smaller, and none
+/// leaves parts behind that begin late (docs/segments.md).
+const SCOUTED_BACKGROUND: usize = 2;
 
 /// A job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,10 +109,7 @@ fn work(plan: &Plan, job: Job, worker: Worker) -> Result<RunRequest> {
             // Parts start from the key frames alone.
             run.keep = NonZeroUsize::new(plan.length);
             run.config.dynamic.iterations = plan.scout_iterations;
-            // The static layer learns what comes to light; else it and the sky stay those of the first frame.
-            run.config.background.static_method = StaticMethod::Steps;
-            run.config.background.static_iterations = 0;
-            run.config.background.sky_iterations = 0;
+            run.config.background.every *= SCOUTED_BACKGROUND;
             Ok(run)
         }
         Job::Part(number) => {
