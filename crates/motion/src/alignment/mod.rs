@@ -43,13 +43,14 @@ pub struct AlignmentConfig {
     /// Factor on the information of the trackers' motion. They read the same photographs, so what they say is no
     /// independent evidence.
     pub trackers: f64,
-    /// Error (px) that all views share, such as that of the layer's shape.
+    /// Error (px) of what one view taught the layer's shape. It stays in every frame, and is smaller by the square root of the
+    /// number of views.
     pub shared_px: f64,
 }
 
 impl Default for AlignmentConfig {
     fn default() -> Self {
-        Self { steps: 10, pixels: 4096, trackers: 0.1, shared_px: 0.1 }
+        Self { steps: 10, pixels: 4096, trackers: 0.1, shared_px: 0.45 }
     }
 }
 
@@ -133,7 +134,7 @@ fn correction(
     patches: &[Patch],
 ) -> Option<Correction> {
     let (centre, known) = (start.motion.centre, start.known);
-    let shared = (config.shared_px * pixel_m).powi(2);
+    let shared = (config.shared_px * pixel_m).powi(2) / patches.len() as f64;
     let places = patches.iter().flat_map(|p| p.points);
     let radius = places.map(|point| point.place.distance(centre)).fold(0.0, f64::max);
     let first = Joint::new(patches, &start.motion)?;
