@@ -69,13 +69,7 @@ impl Program {
     fn build(&self, root: &Path, profile: &str) -> Result<PathBuf> {
         let binary = self.binary(root, profile);
         let mut command = workspace::cargo(root);
-        command.args(["build", "--locked", "--profile", profile]);
-        if profile == "dev" {
-            // What the tests are built of: one package by itself has other features, and half of them would be built again.
-            command.args(["--workspace", "--tests", "--bins"]);
-        } else {
-            command.args(["-p", self.package, "--bin", self.name]);
-        }
+        command.args(["build", "--locked", "--profile", profile, "-p", self.package, "--bin", self.name]);
         // A first build takes minutes and shows its progress; later ones leave the screen to the program.
         if binary.is_file() {
             command.arg("--quiet");
