@@ -3,7 +3,7 @@
 //! Needs Snakemake: the program that the environment variable `FFGS_SNAKEMAKE` names, else `snakemake` on the path.
 #![cfg(unix)]
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -99,4 +99,55 @@ fn a_killed_worker_costs_the_frame_it_was_at() {
     }
     let table = fs::read_to_string(two.join("table.md")).unwrap();
     assert!(table.contains("[cut-trackers-1](cut-trackers-1/joined/report.html) | 4 |"), "{table}");
+    let page = fs::read_to_string(two.join("report.html")).unwrap();
+    assert!(page.contains(r#"<a href="cut-trackers-1/joined/report.html">"#), "{page}");
+}
+
+/// A finished run of so many frames: PSNR falls by 1 dB per frame, and one view has no figure of the foreground.
+fn finished(folder: &Path, frames: usize) {
+    let view = |psnr: f64, mpsnr: Option<f64>| json!({ "camera": "c", "psnr": psnr, "mpsnr": mpsnr });
+    let frame = |f: usize| {
+        let psnr = 30.0 - f as f64;
+        json!({ "frame": f, "views": [view(psnr, None), view(psnr - 2.0, Some(20.0))], "peak_memory_mib": 300.0 + psnr })
+    };
+    let mean = json!({ "psnr": 27.5, "mpsnr": 20.0, "ssim": 0.9, "vmaf": null, "seconds_per_frame": 2.0 });
+    let frames: Vec<Value> = (0..frames).map(frame).collect();
+    fs::create_dir_all(folder).unwrap();
+    fs::write(folder.join("metrics.json"), json!({ "mean": mean, "frames": frames }).to_string()).unwrap();
+}
+
+#[test]
+fn one_page_shows_all_runs() {
+    let place = TempDir::new().unwrap();
+    let folder = place.path();
+    finished(&folder.join("parts/joined"), 3);
+    finished(&folder.join("whole"), 4);
+    let seams = json!([{ "frame": 2, "psnr": [28.0, 27.9], "mpsnr": [20.0, 20.25] }]);
+    fs::write(folder.join("parts/joined/seams.json"), seams.to_string()).unwrap();
+    let pictures = folder.join("whole/frames/000003/test");
+    fs::create_dir_all(&pictures).unwrap();
+    fs::write(pictures.join("c.png"), "a picture").unwrap();
+    let runs = json!({ "parts": { "parts": 2, "command": "" }, "whole": { "parts": 0, "command": "" } });
+    fs::write(folder.join("config.json"), json!({ "runs": runs }).to_string()).unwrap();
+    let printed = |script: &str| {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("workflow").join(script);
+        let output =
+            Command::new("python3").arg("-B").arg(script).arg("config.json").current_dir(folder).output();
+        let output = output.expect("Python 3");
+        succeeds(&output);
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let table = printed("table.py");
+    let rows = [
+        "| [parts](parts/joined/report.html) | 3 | 27.50 | 20.00 | 0.9000 | - | 2.00 | 330 | 0.25 |",
+        "| [whole](whole/report.html) | 4 | 27.50 | 20.00 | 0.9000 | - | 2.00 | 330 | - |",
+    ];
+    assert!(rows.iter().all(|row| table.contains(row)), "{table}");
+    let page = printed("report.py");
+    let count = |part: &str| page.matches(part).count();
+    assert_eq!([count("<polyline"), count(r#"class="seam""#), count("<img")], [4, 2, 1], "{page}");
+    assert!(page.contains(r#"src="whole/frames/000003/test/c.png""#), "{page}");
+    let points =
+        page.split("points=\"").skip(1).map(|line| line.split('"').next().unwrap().split(' ').count());
+    assert_eq!(points.collect::<Vec<_>>(), [3, 4, 3, 4], "both figures of both runs, a point per frame");
 }

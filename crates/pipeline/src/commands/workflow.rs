@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Args)]
 #[command(
     long_about = "Writes a Snakemake workflow that reconstructs captures: first frame, scout, parts, joining, evaluation and \
-        export are jobs, and table.md compares all runs. The default method runs in parts (ffgs segment), another \
+        export are jobs, and table.md and report.html compare all runs. The default method runs in parts (ffgs segment), another \
         method as one job. A worker that is killed loses the frame it was at: its job goes on when Snakemake is started again, or \
         at once with --retries. Snakemake is a Python package: pip install snakemake. The folder must be one that all machines \
         see; of several workers on one job the later ones are refused.",
@@ -54,10 +54,11 @@ pub struct WorkflowArgs {
 }
 
 /// The files beside config.json.
-const FILES: [(&str, &str); 6] = [
+const FILES: [(&str, &str); 7] = [
     ("Snakefile", include_str!("../../workflow/Snakefile")),
     ("lease.py", include_str!("../../workflow/lease.py")),
     ("table.py", include_str!("../../workflow/table.py")),
+    ("report.py", include_str!("../../workflow/report.py")),
     ("profiles/laptop/config.yaml", include_str!("../../workflow/profiles/laptop/config.yaml")),
     ("profiles/slurm/config.yaml", include_str!("../../workflow/profiles/slurm/config.yaml")),
     ("profiles/kubernetes/config.yaml", include_str!("../../workflow/profiles/kubernetes/config.yaml")),
