@@ -10,8 +10,8 @@ use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::str::FromStr;
 
-/// Frames from one training of the static layer and the sky to the next in the scout, in those of a run: all of them make seams no smaller, and none
-/// leaves parts behind that begin late (docs/segments.md).
+/// How many times as many frames lie between two trainings of the static layer and the sky in the scout as in a run. A later part
+/// begins as well as the part before ends with two; without any training it began up to 1.7 dB below (docs/segments.md).
 const SCOUTED_BACKGROUND: usize = 2;
 
 /// A job.
