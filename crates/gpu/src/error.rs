@@ -37,7 +37,9 @@ pub enum GpuError {
         limit: u64,
     },
     /// The device's memory is full.
-    #[error("the GPU's memory is full: use fewer Gaussians or smaller images, or --device cpu")]
+    #[error(
+        "the GPU's memory is full: use fewer Gaussians or smaller images, a larger --memory where it is given, or --device cpu"
+    )]
     OutOfMemory,
     /// The driver took the device away.
     #[error("the GPU was lost ({0}); finished frames are safe, go on with --resume")]

@@ -56,18 +56,18 @@ impl Joint {
         let inverse = a.cholesky()?.inverse();
         let step = inverse * b;
         let least = inverse * (self.scale * ALIKE).powi(2);
-        let covariance = self.disagreement(&a, &inverse, &step) + least;
+        let covariance = self.disagreement(&a, &inverse, &step)? + least;
         Some((step, (covariance + covariance.transpose()) * 0.5))
     }
 
     /// Covariance of the step by how far views would move it. The steps without each of them (the jackknife, Quenouille 1956) have as many
-    /// directions as views, less one: the fewer these are, the more counts one factor on the inverse of all that is known.
-    fn disagreement(&self, a: &Square, inverse: &Square, step: &Unknowns) -> Square {
+    /// directions as views, less one: the fewer these are, the more counts one factor on the inverse of all that is known. `None` as above.
+    fn disagreement(&self, a: &Square, inverse: &Square, step: &Unknowns) -> Option<Square> {
         let (n, unknowns) = (self.views.len() as f64, step.len() as f64);
         let (mut jackknife, mut squares, mut freedom) = (Square::zeros(), 0.0, unknowns);
         for view in &self.views {
             let gradient = view.b - view.a * step;
-            let without = step_without(a, view, &gradient);
+            let without = step_without(a, view, &gradient)?;
             jackknife += without * without.transpose() * ((n - 1.0) / n);
             let share = inverse * view.a;
             squares += gradient.dot(&(inverse * gradient));
@@ -75,15 +75,15 @@ impl Joint {
         }
         let alike = inverse * (squares / freedom.max(LEAST_LEFT * unknowns));
         let shrinkage = unknowns / (unknowns + n - 1.0);
-        alike * shrinkage + jackknife * (1.0 - shrinkage)
+        Some(alike * shrinkage + jackknife * (1.0 - shrinkage))
     }
 }
 
-/// How far the step is from that without a view, whose gradient is left at the step of all. Where hardly anything is known without
-/// the view, a hundredth of what all know keeps it finite.
-fn step_without(all: &Square, view: &Normal, gradient: &Unknowns) -> Unknowns {
+/// How far the step of all views is from that without one of them, whose `gradient` at the step is given. Where the others know hardly anything, a
+/// hundredth of what all know keeps it finite.
+fn step_without(all: &Square, view: &Normal, gradient: &Unknowns) -> Option<Unknowns> {
     let others = all * (1.0 + LEAST_LEFT) - view.a;
-    others.cholesky().map_or_else(Unknowns::zeros, |others| others.solve(gradient))
+    Some(others.cholesky()?.solve(gradient))
 }
 
 impl Normal {
