@@ -5,6 +5,7 @@ use crate::compare::{self, CompareArgs};
 use crate::enlarge::{self, EnlargeArgs};
 use crate::expose::{self, ExposeArgs};
 use crate::later::{self, LaterArgs};
+use crate::markers::{self, MarkersArgs};
 use crate::mask_eval::{self, MaskEvalArgs};
 use crate::motion_eval::{self, MotionEvalArgs};
 use crate::simulate::{self, SimulateArgs};
@@ -42,6 +43,8 @@ enum Command {
     Expose(ExposeArgs),
     /// Make a capture of one later frame, to tell what a run has lost by then
     Later(LaterArgs),
+    /// Make the ground truth of a filmed rigid body from points that were measured on it
+    Markers(MarkersArgs),
 }
 
 /// Runs the program on its command line. An error is printed with its causes.
@@ -86,6 +89,10 @@ fn dispatch(command: Command) -> Result<()> {
         Command::Later(args) => {
             args.log.start();
             later::run(&args)
+        }
+        Command::Markers(args) => {
+            args.log.start();
+            markers::run(&args)
         }
     }
 }

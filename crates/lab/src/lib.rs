@@ -10,6 +10,7 @@ mod enlarge;
 pub mod evaluation;
 mod expose;
 mod later;
+mod markers;
 mod mask_eval;
 pub mod motion_eval;
 mod simulate;

@@ -56,16 +56,23 @@ pub struct Truth {
     /// Surface points by frame.
     surface: Vec<Vec<DVec3>>,
     part_of_point: Vec<u32>,
+    /// A place farther than this from every surface point sits on no part (m).
+    reach: f64,
 }
 
 #[derive(Deserialize)]
 struct PosesFile {
     parts: BTreeMap<String, Vec<String>>,
     world_from_part: BTreeMap<String, BTreeMap<String, [[f64; 4]; 4]>>,
+    #[serde(default = "reach_of_cars")]
+    reach: f64,
 }
 
-/// A Gaussian farther than this from every true surface point sits on no part (m).
-const REACH: f64 = 0.5;
+/// The reach where `poses.json` names none (m): rendered cars do not come nearer to each other.
+fn reach_of_cars() -> f64 {
+    0.5
+}
+
 /// Surface points that vote for a Gaussian's part.
 const VOTERS: usize = 5;
 
@@ -100,7 +107,7 @@ impl Truth {
         let xyz = points.shaped::<f64>("xyz", &[None, Some(n), Some(3)])?;
         let frame = |points: &[f64]| points.as_chunks::<3>().0.iter().map(|p| DVec3::from(*p)).collect();
         let surface = xyz.data.chunks(3 * n.max(1)).map(frame).collect();
-        Ok(Self { names, poses, surface, part_of_point })
+        Ok(Self { names, poses, surface, part_of_point, reach: parsed.reach })
     }
 
     /// Frames with poses and surface points.
@@ -124,7 +131,7 @@ impl Truth {
     }
 
     /// The part each place (m) of a frame sits on: that of most of the five nearest surface points (the nearest one's
-    /// among equals), `None` beyond half a metre from the surface.
+    /// among equals), `None` beyond the truth's reach from the surface.
     ///
     /// # Errors
     /// [`TruthError::Index`] when the spatial index refuses the points.
@@ -138,7 +145,7 @@ impl Truth {
         let k = NonZero::new(VOTERS.min(rows.len())).unwrap_or(NonZero::<usize>::MIN);
         let part = |place: &DVec3| {
             let found = tree.query(&place.to_array()).nearest_n::<SquaredEuclidean<f64>>(k).execute();
-            let near = found.first().is_some_and(|n| n.distance <= REACH * REACH);
+            let near = found.first().is_some_and(|n| n.distance <= self.reach * self.reach);
             let votes: Vec<u32> = found.iter().map(|n| self.part_of_point[n.item as usize]).collect();
             near.then(|| majority(&votes)).flatten()
         };
