@@ -90,6 +90,7 @@ mod tests {
             shared: 0.0,
             cells: 1,
             flexibility: 0.0,
+            lost: false,
         };
         Groups { found: vec![group], of: vec![Some(0); places.len()], cells: Cells::new(places, 64) }
     }

@@ -64,6 +64,13 @@ impl Evidence {
         Self { trackers, told }
     }
 
+    /// Without what was told of some Gaussians.
+    pub(crate) fn without(mut self, gone: impl Fn(usize) -> bool + Sync) -> Self {
+        let rows = self.told.par_chunks_mut(self.trackers.max(1)).enumerate();
+        rows.filter(|(i, _)| gone(*i)).for_each(|(_, row)| row.fill(TrackerEstimate::default()));
+        self
+    }
+
     /// Number of trackers L.
     pub(crate) fn trackers(&self) -> usize {
         self.trackers

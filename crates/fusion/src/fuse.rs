@@ -79,6 +79,7 @@ impl InformationFuser {
     /// As [`fuse`](Self::fuse).
     pub fn update(&self, prediction: Prediction, departures: &Departures) -> Result<Fused, FusionError> {
         let Prediction { input, means: mut predicted, q, q_of, evidence, groups } = prediction;
+        let evidence = evidence.without(|i| groups.lost(i));
         let structure = match self.config.structure {
             Structure::None => None,
             _ => structured(input, &evidence, &self.config, groups, departures)?,

@@ -76,6 +76,8 @@ pub struct Group {
     pub cells: usize,
     /// Logarithm of the odds that it is not rigid.
     pub flexibility: f64,
+    /// Whether the trackers have lost it: its motion comes from elsewhere, and what they say of its members does not count.
+    pub lost: bool,
 }
 
 impl Group {
@@ -96,6 +98,13 @@ pub struct Groups {
     pub of: Vec<Option<usize>>,
     /// The cells, each in one group.
     pub cells: Cells,
+}
+
+impl Groups {
+    /// Whether the trackers have lost the group of a Gaussian.
+    pub(crate) fn lost(&self, i: usize) -> bool {
+        self.of[i].is_some_and(|g| self.found[g].lost)
+    }
 }
 
 /// Finds the groups. `previous` (N, m) are the places at t-1.
@@ -300,7 +309,8 @@ impl<'a> Search<'a> {
         let spread = sigma * sigma;
         let shared = spread / self.config.patches.clamp(1.0, cells.len().max(1) as f64);
         let (motion, scales, count) = (fit.motion, fit.scales, cells.len());
-        let group = Group { motion, covariance, scales, spread, shared, cells: count, flexibility: 0.0 };
+        let group =
+            Group { motion, covariance, scales, spread, shared, cells: count, flexibility: 0.0, lost: false };
         Some((cells, group))
     }
 

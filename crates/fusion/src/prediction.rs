@@ -29,8 +29,9 @@ impl Prediction<'_> {
         let groups = &self.groups;
         let departing = |range: &std::ops::Range<usize>| {
             let members = groups.cells.members(range);
-            let motion = &groups.found[groups.of[*members.first()?]?].motion;
-            Departing::new(self.input.observed.as_ref()?, self.input.prior_means, members, motion)
+            let group = &groups.found[groups.of[*members.first()?]?];
+            let observed = self.input.observed.as_ref().filter(|_| !group.lost)?;
+            Departing::new(observed, self.input.prior_means, members, &group.motion)
         };
         let cells: Vec<Option<Departing>> = groups.cells.leaves.par_iter().map(departing).collect();
         Departures { odds: vec![0.0; cells.len()], cells }

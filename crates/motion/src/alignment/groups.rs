@@ -23,6 +23,8 @@ pub(crate) fn align_groups(input: &MotionInput, dynamic: &Dynamic, groups: &mut 
     let aligned = align(config, rotate, now, &dynamic.gaussians, &last, groups);
     if config.steps > 0 {
         log.skip("rigid groups that the photographs could not align", groups.found.len() - aligned);
+        let lost = groups.found.iter().filter(|group| group.lost).count();
+        log.skip("rigid groups that trackers lost: they move like another one", lost);
     }
     log.since(stage::ALIGNMENT, start);
 }

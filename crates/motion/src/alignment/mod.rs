@@ -13,6 +13,7 @@
 mod continuation;
 mod departures;
 mod groups;
+mod lost;
 mod normal;
 mod photograph;
 mod starts;
@@ -84,9 +85,11 @@ pub(crate) fn align(
             starts::best_correction(config, group, last[g].as_ref(), &patches)
         })
         .collect();
-    let apply = |(group, correction): (&mut Group, Correction)| correction.apply(group);
+    let aligned: Vec<bool> = corrections.iter().map(Option::is_some).collect();
     let pairs = groups.found.iter_mut().zip(corrections);
-    pairs.filter_map(|(group, correction)| Some((group, correction?))).map(apply).count()
+    pairs.filter_map(|(group, correction)| Some((group, correction?))).for_each(|(group, c)| c.apply(group));
+    lost::find_lost(config, rotate, &views, layer, &aligned, groups);
+    aligned.iter().zip(&groups.found).filter(|(aligned, group)| **aligned || group.lost).count()
 }
 
 /// The layer where the motions of its groups take it.

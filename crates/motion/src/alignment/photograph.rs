@@ -1,7 +1,7 @@
 //! A photograph between its pixels.
 
 use super::surface::{SurfacePoint, brightness};
-use ffgs_core::TrainingView;
+use ffgs_core::{Camera, TrainingView};
 use ffgs_fusion::RigidMotion;
 use glam::{DVec2, DVec3};
 use nalgebra::Vector6;
@@ -26,13 +26,12 @@ pub(crate) struct Patch<'a> {
     pub points: &'a [SurfacePoint],
 }
 
-impl Patch<'_> {
-    /// Size of a pixel (m) at a place; infinite behind the camera.
-    pub(crate) fn pixel_m(&self, place: DVec3) -> f64 {
-        let camera = &self.view.camera;
-        camera.project(place).map_or(f64::INFINITY, |p| p.depth / camera.intrinsics().focal())
-    }
+/// Size of a pixel (m) at a place; infinite behind the camera.
+pub(crate) fn pixel_m(camera: &Camera, place: DVec3) -> f64 {
+    camera.project(place).map_or(f64::INFINITY, |p| p.depth / camera.intrinsics().focal())
+}
 
+impl Patch<'_> {
     /// The pixels that show the foreground when the group has moved.
     pub(crate) fn rows(&self, motion: &RigidMotion) -> Vec<Row> {
         self.points.iter().filter_map(|point| self.row(point, motion)).collect()

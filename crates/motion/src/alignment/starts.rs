@@ -1,7 +1,7 @@
 //! Where the alignment of a group starts: Gauss-Newton steps reach a few pixels, and trackers that lose what moves fast are off
 //! by more. A body that moved in the last frame moves on much the same way.
 
-use super::photograph::Patch;
+use super::photograph::{Patch, pixel_m};
 use super::{AlignmentConfig, Correction, LEAST_VIEWS, correction};
 use ffgs_fusion::{Group, RigidMotion};
 use glam::{DQuat, DVec3};
@@ -13,7 +13,7 @@ const FORECAST: f64 = 0.05;
 /// Turn (rad) that no forecast excludes.
 const LEAST_TURN: f64 = 0.01;
 /// Remaining difference, over that of the trackers' motion, from which on another start is the better one.
-const BETTER: f64 = 0.97;
+pub(super) const BETTER: f64 = 0.97;
 
 /// What is known of a motion before the photographs, about the group's centre where the trackers take it.
 pub(super) struct Start {
@@ -34,13 +34,24 @@ impl Start {
 
     /// The last frame's motion, once more.
     fn of_last(last: &RigidMotion, group: &Group, pixel_m: f64) -> Self {
+        let centre = group.motion.centre;
+        Self::of_forecast(&RigidMotion { centre, step: last.apply(centre) - centre, ..*last }, group, pixel_m)
+    }
+
+    /// What a motion about the group's centre foretells.
+    pub(super) fn of_forecast(forecast: &RigidMotion, group: &Group, pixel_m: f64) -> Self {
         let centre = group.motion.centre + group.motion.step;
-        let rotation = (last.rotation * group.motion.rotation.inverse()).normalize();
-        let step = last.apply(group.motion.centre) - centre;
-        let place = (FORECAST * last.step.length()).powi(2) + pixel_m * pixel_m;
-        let turn = (FORECAST * last.rotation.to_scaled_axis().length()).powi(2) + LEAST_TURN * LEAST_TURN;
+        let rotation = (forecast.rotation * group.motion.rotation.inverse()).normalize();
+        let step = forecast.step - group.motion.step;
+        let place = (FORECAST * forecast.step.length()).powi(2) + pixel_m * pixel_m;
+        let turn = (FORECAST * forecast.rotation.to_scaled_axis().length()).powi(2) + LEAST_TURN * LEAST_TURN;
         let diagonal = Vector6::from_fn(|i, _| if i < 3 { place.recip() } else { turn.recip() });
         Self { motion: RigidMotion { centre, rotation, step }, known: Matrix6::from_diagonal(&diagonal) }
+    }
+
+    /// The motion where photographs cannot better it.
+    pub(super) fn alone(self) -> Option<Correction> {
+        Some(Correction { motion: self.motion, covariance: self.known.cholesky()?.inverse() })
     }
 }
 
@@ -56,7 +67,7 @@ pub(super) fn best_correction(
         return None;
     }
     let centre = group.motion.centre + group.motion.step;
-    let pixel_m = patches.iter().map(|p| p.pixel_m(centre)).fold(f64::INFINITY, f64::min);
+    let pixel_m = patches.iter().map(|p| pixel_m(&p.view.camera, centre)).fold(f64::INFINITY, f64::min);
     let trackers = Start::of_trackers(config, group)?;
     let standing = difference(patches, &trackers.motion);
     let own = correction(config, &trackers, pixel_m, patches);
@@ -68,7 +79,7 @@ pub(super) fn best_correction(
 }
 
 /// Difference of brightness of a pixel that shows something else.
-const UNLIKE: f64 = 0.2;
+pub(super) const UNLIKE: f64 = 0.2;
 
 /// Mean absolute difference of what the images show; what lies beside the mask shows something else.
 fn difference(patches: &[Patch], motion: &RigidMotion) -> f64 {

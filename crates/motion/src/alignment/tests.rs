@@ -30,11 +30,21 @@ fn ball() -> Gaussians {
 
 /// `count` cameras around the ball, and what they see of it after `motion`, brightened by `exposure`.
 fn photographs(count: usize, motion: &RigidMotion, exposure: f32) -> Vec<TrainingView> {
-    let groups = one_group(*motion, 900);
-    let moved = moved_layer(&ball(), &groups, Rotate::SplatAndColour);
+    photographs_of(&ball(), &one_group(*motion, 900), count, 4.0, exposure)
+}
+
+/// The same of another layer, from a `distance` (m).
+fn photographs_of(
+    layer: &Gaussians,
+    groups: &Groups,
+    count: usize,
+    distance: f64,
+    exposure: f32,
+) -> Vec<TrainingView> {
+    let moved = moved_layer(layer, groups, Rotate::SplatAndColour);
     let view = |i: usize| {
         let (sin, cos) = (i as f64 * 2.4).sin_cos();
-        let eye = DVec3::new(4.0 * cos, 4.0 * sin, 0.7 * (i % 3) as f64);
+        let eye = DVec3::new(distance * cos, distance * sin, 0.7 * (i % 3) as f64);
         let intrinsics = Intrinsics { fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
         let camera = Camera::new(intrinsics, look_at(eye, DVec3::ZERO), SIZE).unwrap();
         let mut tape = RenderTape::default();
@@ -60,6 +70,7 @@ fn one_group(motion: RigidMotion, n: usize) -> Groups {
         shared: 0.0,
         cells: 1,
         flexibility: -9.0,
+        lost: false,
     };
     Groups { found: vec![group], of: vec![Some(0); n], ..Groups::default() }
 }
@@ -162,6 +173,45 @@ fn of_two_starts_the_photographs_take_the_better_one() {
     assert!(error(off(far), None) > 3.0 * PIXEL_M, "beyond the reach of the steps");
     assert!(error(off(far), Some(off(0.02))) < 0.1 * PIXEL_M);
     assert!(error(tracked(), Some(off(far))) < 0.1 * PIXEL_M, "the trackers are right");
+}
+
+/// Two balls, one above the other, each a group that moves by a step (m).
+fn two_balls(steps: [DVec3; 2]) -> (Gaussians, Groups) {
+    let mut layer = Gaussians::zeros(0, 0);
+    let mut groups = Groups::default();
+    for (g, step) in steps.into_iter().enumerate() {
+        let centre = DVec3::new(0.0, 0.0, 2.4 * g as f64 - 1.2);
+        let mut ball = ball();
+        ball.means.iter_mut().for_each(|mean| mean[2] += centre.z as f32);
+        layer.extend(&ball);
+        let motion = RigidMotion { centre, rotation: DQuat::IDENTITY, step };
+        groups.found.append(&mut one_group(motion, 0).found);
+        groups.of.extend([Some(g); 900]);
+    }
+    (layer, groups)
+}
+
+#[test]
+fn a_group_that_trackers_lost_moves_like_another_where_the_photographs_agree() {
+    // Ten pixels, half of them along the rows of no camera.
+    let (fast, near) = (DVec3::new(0.7, -0.6, 0.2), DVec3::new(0.02, 0.03, -0.02));
+    let align_from = |tracked: [DVec3; 2], truth: [DVec3; 2]| {
+        let (layer, photographed) = two_balls(truth);
+        let views = photographs_of(&layer, &photographed, 8, 8.0, 0.0);
+        let mut groups = two_balls(tracked).1;
+        align(&AlignmentConfig::default(), Rotate::SplatAndColour, &views, &layer, &[None; 2], &mut groups);
+        groups.found
+    };
+    let found = align_from([fast + near, DVec3::ZERO], [fast; 2]);
+    assert!(found[1].lost && !found[0].lost, "{found:?}");
+    assert!(found[1].motion.step.distance(fast) < 0.02, "a quarter of a pixel: {:?}", found[1].motion.step);
+    // Who is where its trackers say stays there, however the other one moves.
+    let found = align_from([fast + near, near], [fast, DVec3::ZERO]);
+    assert!(found.iter().all(|group| !group.lost), "{found:?}");
+    assert!(found[1].motion.step.length() < 0.02, "{:?}", found[1].motion.step);
+    // Nor does a lost one take a motion that does not fit it.
+    let found = align_from([fast + near, DVec3::ZERO], [fast, -fast]);
+    assert!(!found[1].lost, "{found:?}");
 }
 
 #[test]
