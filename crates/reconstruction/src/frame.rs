@@ -123,13 +123,14 @@ impl Reconstructor<'_> {
         let prior = known.as_ref().map(Predicted::prior);
         let views = std::mem::take(&mut state.views);
         let coarse = &self.reduced(&state.scene, &views);
+        let left_out = self.find_left_out(&state.scene, &coarse.views, log)?;
         let start = FrameStart {
             frame,
             dynamic_lane,
             prior,
             views: &views,
             coarse,
-            left_out: &[],
+            left_out: &left_out.all,
             trains_background: true,
         };
         self.train_lanes(&start, state, log)?;
