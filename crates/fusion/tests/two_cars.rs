@@ -162,6 +162,45 @@ fn units_do_not_matter() {
 }
 
 #[test]
+fn what_trackers_say_of_a_lost_group_does_not_count() {
+    let scene = scene(3);
+    let prior = vec![DMat3::from_diagonal(DVec3::splat(PRIOR_SIGMA * PRIOR_SIGMA)); scene.truth.len()];
+    let input = FusionInput {
+        prior_means: &scene.previous,
+        prior_covariances: &prior,
+        estimates: &scene.estimates,
+        previous_steps: None,
+        groups: None,
+        last_q: 0.0,
+        q_floor_m: 0.0,
+        observed: None,
+        flexibility: None,
+    };
+    let fuser = InformationFuser::default();
+    // The second car's motion is another one than its trackers say. Share of its Gaussians that follow it, and of the first car's.
+    let followers = |lost: bool| {
+        let mut prediction = fuser.predict(&input).unwrap();
+        let of = prediction.groups.of.clone();
+        let second = of[PER_CAR].unwrap();
+        let group = &mut prediction.groups.found[second];
+        group.motion.step += DVec3::new(3.0, 0.0, 0.0);
+        group.lost = lost;
+        let motions: Vec<RigidMotion> = prediction.groups.found.iter().map(|group| group.motion).collect();
+        let departures = prediction.departures();
+        let fused = fuser.update(prediction, &departures).unwrap();
+        [of[0].unwrap(), second].map(|g| {
+            let members: Vec<usize> = (0..of.len()).filter(|&i| of[i] == Some(g)).collect();
+            let follows =
+                |i: &&usize| motions[g].apply(scene.previous[**i]).distance(fused.means[**i]) < 1e-9;
+            members.iter().filter(follows).count() as f64 / members.len() as f64
+        })
+    };
+    let [first, second] = followers(true);
+    assert!(second == 1.0 && first < 0.5, "{first} {second}");
+    assert!(followers(false)[1] < 0.5, "they follow their trackers otherwise");
+}
+
+#[test]
 fn fusion_does_not_depend_on_the_number_of_threads() {
     let scene = scene(3);
     let run = |threads: usize| {

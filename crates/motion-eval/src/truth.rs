@@ -68,7 +68,7 @@ struct PosesFile {
     reach: f64,
 }
 
-/// The reach where `poses.json` names none (m): rendered cars do not come nearer to each other.
+/// The reach where `poses.json` names none (m): that of rendered cars.
 fn reach_of_cars() -> f64 {
     0.5
 }

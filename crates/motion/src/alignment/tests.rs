@@ -193,7 +193,7 @@ fn two_balls(steps: [DVec3; 2]) -> (Gaussians, Groups) {
 
 #[test]
 fn a_group_that_trackers_lost_moves_like_another_where_the_photographs_agree() {
-    // Ten pixels, half of them along the rows of no camera.
+    // Ten pixels, and half of one.
     let (fast, near) = (DVec3::new(0.7, -0.6, 0.2), DVec3::new(0.02, 0.03, -0.02));
     let align_from = |tracked: [DVec3; 2], truth: [DVec3; 2]| {
         let (layer, photographed) = two_balls(truth);
@@ -205,11 +205,11 @@ fn a_group_that_trackers_lost_moves_like_another_where_the_photographs_agree() {
     let found = align_from([fast + near, DVec3::ZERO], [fast; 2]);
     assert!(found[1].lost && !found[0].lost, "{found:?}");
     assert!(found[1].motion.step.distance(fast) < 0.02, "a quarter of a pixel: {:?}", found[1].motion.step);
-    // Who is where its trackers say stays there, however the other one moves.
+    // A group that is where its trackers say stays there, however the other one moves.
     let found = align_from([fast + near, near], [fast, DVec3::ZERO]);
     assert!(found.iter().all(|group| !group.lost), "{found:?}");
     assert!(found[1].motion.step.length() < 0.02, "{:?}", found[1].motion.step);
-    // Nor does a lost one take a motion that does not fit it.
+    // A lost group does not take a motion that does not fit it either.
     let found = align_from([fast + near, DVec3::ZERO], [fast, -fast]);
     assert!(!found[1].lost, "{found:?}");
 }
