@@ -23,11 +23,10 @@ struct Cli {
     command: Command,
 }
 
+/// What to do. Most commands are described where their arguments are: a comment here would replace their long text too.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Score the motion initialisation against a capture's ground truth
     MotionEval(MotionEvalArgs),
-    /// Score the masks of a capture against the true ones
     MaskEval(MaskEvalArgs),
     /// Score the fusion on simulated scenes
     Simulate(SimulateArgs),
@@ -35,15 +34,10 @@ enum Command {
     Ablations(AblationArgs),
     /// Run methods on captures from one first frame, and write tables and curves of quality, seconds and storage
     Compare(CompareArgs),
-    /// Make a capture of the paper's size, or a smaller one, and the run of its first frame
     Synthetic(SyntheticArgs),
-    /// Enlarge the images, masks and tracks of a capture
     Enlarge(EnlargeArgs),
-    /// Give the photographs of a capture exposures that change from frame to frame
     Expose(ExposeArgs),
-    /// Make a capture of one later frame, to tell what a run has lost by then
     Later(LaterArgs),
-    /// Make the ground truth of a filmed rigid body from points that were measured on it
     Markers(MarkersArgs),
 }
 
@@ -105,5 +99,13 @@ mod tests {
     #[test]
     fn the_definitions_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn help_explains_the_commands() {
+        let cli = Cli::command();
+        let short = cli.get_subcommands().filter(|command| command.get_long_about().is_none());
+        let short: Vec<&str> = short.map(clap::Command::get_name).collect();
+        assert_eq!(short, ["simulate", "ablations", "compare"]);
     }
 }

@@ -13,6 +13,7 @@ use std::path::PathBuf;
 /// `ffgs-lab enlarge`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Enlarge the images, masks and tracks of a capture",
     long_about = "Enlarges the images (bilinear), masks, tracks and intrinsics of a capture. No detail is gained: it shows what \
         a run of that many pixels costs, not what quality it has.",
     after_help = "Example:\n  ffgs-lab enlarge fixtures/scenes/fairmont-mini --factor 6 --frames 3 --out out/large"

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 /// `ffgs-lab expose`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Give the photographs of a capture exposures that change from frame to frame",
     long_about = "Copies a capture and gives its photographs other exposures, frame by frame, as offsets of the log odds of their values (1 EV \
         is about 0.55 at mid-grey). The first frame stays as it is. The photographs must be PNG files; masks, tracks and truth are copied as they are.",
     after_help = "Examples:\n  ffgs-lab expose fixtures/scenes/fairmont-mini --drift 0.15 --out out/drift      automatic exposure\n  \

@@ -15,6 +15,7 @@ use std::path::PathBuf;
 /// `ffgs-lab later`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Make a capture of one later frame, to tell what a run has lost by then",
     long_about = "Makes a capture of one later frame: its photographs, masks and cameras, and the initial points, of which those that move \
         have gone with their true motion. Trained as a first frame, it shows what can be had from that frame alone, with true points: what \
         a run has at that frame beyond it is what earlier frames taught. The capture needs truth/poses.json and truth/tracks.npz.",

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 /// `ffgs-lab markers`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Make the ground truth of a filmed rigid body from points that were measured on it",
     long_about = "Writes truth/ of a capture from points that were measured on one rigid body, as the corners of a chessboard: the body's \
         shape is fitted to all frames, its pose to each. A Gaussian counts as part of the body where it lies near the points or a line between two \
         of them. The file has a header with sync_index (or frame), keypoint_id (or point_id), x_coord, y_coord and z_coord, as caliscope writes it, \

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 /// `ffgs-lab mask-eval`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Score the masks of a capture against the true ones",
     long_about = "Counts the pixels that the masks of a capture have in common with the true ones, of every training camera \
         over all its frames: intersection over union, precision and recall per camera, and their means over cameras. \
         Frame t of the capture is compared with frame t of the truth, or with picture t of a folder in the order of names. \

@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 /// `ffgs-lab motion-eval`.
 #[derive(Clone, Debug, Default, Args)]
 #[command(
+    about = "Score the motion initialisation against a capture's ground truth",
     long_about = "Runs the motion initialisation of every frame from known places and compares each Gaussian with the \
         true rigid motion of the part that it sits on: end-point errors, share measured, normalised errors and \
         coverage, for every tracker alone and fused. Needs a capture with truth/. Without --run the Gaussians are the \

@@ -41,6 +41,7 @@ const LARGEST_STEP: f64 = 512.0;
 /// `ffgs-lab synthetic`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Make a capture of the paper's size, or a smaller one, and the run of its first frame",
     long_about = "Makes a capture from Gaussians that this program's rasterizer renders: 60 views of 1920x1080 of a walled \
         yard with four moving bodies, 1 M static and 200 k dynamic Gaussians, exact masks, and three trackers without errors. \
         Beside it, the run of its first frame, from which `ffgs run --first-frame` goes on without training one. Equal \

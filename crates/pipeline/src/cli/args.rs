@@ -44,6 +44,7 @@ impl LogArgs {
 /// `ffgs check`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Show what a capture holds and every fault in it",
     long_about = "Reads every camera, image, mask, point and track of a capture and prints what it holds: views, \
         frames, sizes, masks, points, tracks per tracker. Every fault is printed with its file and what to do about \
         it; with a fault the exit status is 1. A run makes the same check before it starts, \
@@ -64,6 +65,7 @@ pub struct CheckArgs {
 /// `ffgs stage`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Run one stage on numpy arrays",
     long_about = "Runs one stage of the method alone, on numpy arrays. Inputs may have any float or integer type; \
         arrays that the stage does not know are ignored. The output is written whole or not at all.",
     after_help = "Examples:\n  ffgs stage voronoi --input tracks.npz --output motion.npz\n  \
@@ -93,6 +95,7 @@ pub struct StageArgs {
 /// `ffgs run`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Reconstruct a capture, frame by frame",
     long_about = "Reconstructs a capture. The first frame is trained from images; each later frame starts from the \
         one before it, moved by what the trackers saw, and is finetuned. The output folder receives splats (PLY), \
         rendered test views, metrics.json, run.json and report.html, which opens in any browser. Finished frames \
@@ -196,6 +199,7 @@ impl RunArgs {
 /// `ffgs render`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Render a finished run: a camera, or a circle around the moving objects",
     long_about = "Renders a finished run: one camera of the capture, or a path around the moving objects. Writes \
         PNGs, and for a path an mp4 as well when an ffmpeg is found.",
     after_help = "Examples:\n  ffgs render out/mini --frame 3 --camera trk009\n  \
@@ -228,6 +232,7 @@ pub struct RenderArgs {
 /// `ffgs eval`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Compute PSNR, SSIM, flicker and VMAF of a finished run's test views",
     long_about = "Renders the test views of a finished run again from its splats and recomputes PSNR, MPSNR and SSIM. Over each \
         test view's video, in time order, it finds the flicker and, where an ffmpeg with libvmaf is found, VMAF: the one that \
         the environment variable FFGS_FFMPEG names, or that of the PATH.",

@@ -31,30 +31,20 @@ const EXIT_CODES: &str = "\
 Exit status: 0 done; 1 an error, which is printed; 2 a wrong command line; 74 done, but some of
 what should have been printed could not be (standard output or error closed or full).";
 
-/// What to do.
+/// What to do. Most commands are described where their arguments are: a comment here would replace their long text too.
 #[derive(Debug, Subcommand)]
+#[expect(missing_docs, reason = "clap takes comments on variants in place of the texts of their arguments")]
 pub enum Command {
-    /// Make a capture of footage: videos or photographs with a calibration
     Prepare(crate::commands::prepare::PrepareArgs),
-    /// Track the images of a capture: sparse and medium trackers, and networks
     Track(crate::commands::prepare::TrackArgs),
-    /// Convert a frame of a capture to nerfstudio or COLMAP
     Convert(crate::commands::prepare::ConvertArgs),
-    /// Show what a capture holds and every fault in it
     Check(CheckArgs),
-    /// Reconstruct a capture, frame by frame
     Run(RunArgs),
-    /// Reconstruct a long capture in parts that run on several machines, and join them
     Segment(crate::commands::segment::SegmentArgs),
-    /// Write a Snakemake workflow over captures, methods and seeds
     Workflow(crate::commands::workflow::WorkflowArgs),
-    /// Render a finished run: a camera, or a circle around the moving objects
     Render(RenderArgs),
-    /// Compute PSNR, SSIM, flicker and VMAF of a finished run's test views
     Eval(EvalArgs),
-    /// Write a finished run as files for other players
     Export(crate::commands::export::ExportArgs),
-    /// Show a run or a stream in the browser
     View(crate::commands::view::ViewArgs),
     /// List the methods that `run --method` takes
     Methods,
@@ -64,7 +54,6 @@ pub enum Command {
     Devices,
     /// Print the configuration, every key with its meaning
     Config(crate::commands::config::ConfigArgs),
-    /// Run one stage on numpy arrays
     Stage(StageArgs),
 }
 
@@ -147,5 +136,13 @@ mod tests {
     #[test]
     fn the_definitions_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn help_explains_the_commands() {
+        let cli = Cli::command();
+        let short = cli.get_subcommands().filter(|command| command.get_long_about().is_none());
+        let short: Vec<&str> = short.map(clap::Command::get_name).collect();
+        assert_eq!(short, ["methods", "formats", "devices", "config"]);
     }
 }

@@ -14,6 +14,7 @@ use std::sync::Mutex;
 /// `ffgs prepare`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Make a capture of footage: videos or photographs with a calibration",
     long_about = "Makes a capture of videos or photographs with a calibration. The format is recognised: \
         Dynamic3DGaussians, CMU Panoptic, N3DV (poses_bounds.npy), nerfstudio and instant-ngp (transforms.json), \
         EasyVolcap and EasyMocap (intri.yml), caliscope, aniposelib and Pose2Sim (TOML), Qualisys (*.qca.txt), COLMAP (text or binary). Pictures \
@@ -78,6 +79,7 @@ pub struct PrepareArgs {
 /// `ffgs track`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Track the images of a capture: sparse and medium trackers, and networks",
     long_about = "Tracks the images of every training camera from frame to frame and writes the tracks into the \
         capture, which has the layout of this project (train_meta.json): `descriptors` (sparse) and `lucas_kanade` \
         (medium), and networks as ONNX files. Tracks of other programs stay.",
@@ -112,6 +114,7 @@ pub(crate) fn track(args: &TrackArgs) -> Result<()> {
 /// `ffgs convert`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Convert a frame of a capture to nerfstudio or COLMAP",
     long_about = "Writes one frame of a capture, with its images, cameras and points, in the layout of another tool: \
         transforms.json of nerfstudio, or a text model of COLMAP.",
     after_help = "Example:\n  ffgs convert capture --to colmap --frame 3 --out colmap3"

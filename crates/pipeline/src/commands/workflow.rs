@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 /// `ffgs workflow`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Write a Snakemake workflow over captures, methods and seeds",
     long_about = "Writes a Snakemake workflow that reconstructs captures: first frame, scout, parts, joining, evaluation and \
         export are jobs, and table.md and report.html compare all runs. The default method runs in parts (ffgs segment), another \
         method as one job. A worker that is killed loses the frame it was at: its job goes on when Snakemake is started again, or \

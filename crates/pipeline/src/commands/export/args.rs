@@ -11,6 +11,7 @@ use std::path::PathBuf;
 /// `ffgs export`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Write a finished run as files for other players",
     long_about = "Writes a finished run, or one that still goes on, as splat files for other players, one per frame. \
         This program trains with the opacity compensation of Mip-Splatting, which ordinary viewers do not have: there \
         the files of the run lose 3 to 9 dB. An export is therefore baked: everything is fitted so that ordinary viewers \

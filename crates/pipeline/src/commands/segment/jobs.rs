@@ -10,10 +10,6 @@ use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::str::FromStr;
 
-/// How many times as many frames lie between two trainings of the static layer and the sky in the scout as in a run. A later part
-/// begins as well as the part before ends with two; without any training it began up to 1.7 dB below (docs/segments.md).
-const SCOUTED_BACKGROUND: usize = 2;
-
 /// A job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Job {
@@ -109,7 +105,6 @@ fn work(plan: &Plan, job: Job, worker: Worker) -> Result<RunRequest> {
             // Parts start from the key frames alone.
             run.keep = NonZeroUsize::new(plan.length);
             run.config.dynamic.iterations = plan.scout_iterations;
-            run.config.background.every *= SCOUTED_BACKGROUND;
             Ok(run)
         }
         Job::Part(number) => {

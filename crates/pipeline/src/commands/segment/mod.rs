@@ -23,6 +23,7 @@ use std::path::PathBuf;
 /// `ffgs segment`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Reconstruct a long capture in parts that run on several machines, and join them",
     long_about = "Reconstructs a long capture in parts, which several machines can work on at the same time. `plan` decides the \
         parts and writes segments.json; `run` does the jobs: the first frame, a scout over all frames with few iterations per \
         frame, then the parts, each from the scouted frame with which it begins (scout3 goes to that of part 3); `join` makes one run of them, with a \

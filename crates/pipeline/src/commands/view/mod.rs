@@ -26,6 +26,7 @@ use std::time::Duration;
 /// `ffgs view`.
 #[derive(Clone, Debug, Args)]
 #[command(
+    about = "Show a run or a stream in the browser",
     long_about = "Shows a run, finished or still going on, or a 4D stream in the browser: time line, orbit, fly, \
         follow, the cameras of the capture with their photographs. A run is written as a stream into RUN/export/stream; of a \
         capture its initial points are shown. \
