@@ -55,7 +55,7 @@ pub struct WorkflowArgs {
 }
 
 /// The files beside config.json.
-const FILES: [(&str, &str); 7] = [
+const FILES: [(&str, &str); 9] = [
     ("Snakefile", include_str!("../../workflow/Snakefile")),
     ("lease.py", include_str!("../../workflow/lease.py")),
     ("table.py", include_str!("../../workflow/table.py")),
@@ -63,6 +63,8 @@ const FILES: [(&str, &str); 7] = [
     ("profiles/laptop/config.yaml", include_str!("../../workflow/profiles/laptop/config.yaml")),
     ("profiles/slurm/config.yaml", include_str!("../../workflow/profiles/slurm/config.yaml")),
     ("profiles/kubernetes/config.yaml", include_str!("../../workflow/profiles/kubernetes/config.yaml")),
+    ("profiles/kubernetes/Dockerfile", include_str!("../../workflow/profiles/kubernetes/Dockerfile")),
+    ("profiles/kubernetes/snakemake.yaml", include_str!("../../workflow/profiles/kubernetes/snakemake.yaml")),
 ];
 
 /// `config.json`.
