@@ -86,6 +86,11 @@ impl<'a> Beside<'a> {
         Sequence { pictures, count, rate }.spread(SAMPLES)?.into_iter().map(undistorted).collect()
     }
 
+    /// How many pictures a camera's footage has.
+    pub(crate) fn length(&self, camera: &str) -> usize {
+        self.camera(camera).map_or(0, |camera| camera.sequence.pictures)
+    }
+
     /// Pictures spread over the whole of a camera's footage, but for those of another size.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 use super::continuation::continued;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use rayon::prelude::*;
+use std::borrow::Borrow;
 
 /// Colours (0 to 255) that differ by less in every channel show the same thing: noise and compression.
 const SAME_COLOUR: f32 = 14.0;
@@ -17,6 +18,8 @@ const LEAST_SHARE: f32 = 0.35;
 const NEAR: f32 = 25.0;
 /// Standard deviation (grey levels) of a background that no sample shows.
 const UNSEEN_SPREAD: f32 = 4.0;
+/// A channel of at least this value (0 to 255) is clipped: the scene may be as much brighter as it likes.
+const CLIPPED: u8 = 250;
 /// Pixels of a picture that tell its exposure, and what differs in it.
 const ENOUGH_PIXELS: usize = 4000;
 
@@ -28,15 +31,18 @@ pub(crate) struct Background {
     pub colour: Vec<[f32; 3]>,
     /// Standard deviation of the samples (grey levels).
     pub spread: Vec<f32>,
+    /// From here on a channel of the colour may have been clipped in samples.
+    pub clipped: [f32; 3],
 }
 
 impl Background {
     /// The colour that most samples agree on at each pixel; samples inside `masks` (one each, or none at all) do not
     /// count as long as others are left. Exposure differences are taken out before.
-    pub(crate) fn learn(images: &[ImageRgb8], masks: &[Mask]) -> Self {
+    pub(crate) fn learn<I: Borrow<ImageRgb8>>(images: &[I], masks: &[Mask]) -> Self {
+        let images: Vec<&ImageRgb8> = images.iter().map(Borrow::borrow).collect();
         let size = images[0].size();
         let gains: Vec<[f32; 3]> = {
-            let reference = median_image(images);
+            let reference = median_image(&images);
             images.iter().map(|image| gain(image, &reference)).collect()
         };
         let samples = Samples { images, masks, gains };
@@ -51,7 +57,19 @@ impl Background {
             let hidden = samples.free(i).next().is_none();
             (colour[i], spread[i]) = likeliest(&samples.at(i), hidden, expected);
         }
-        Self { size, colour, spread }
+        let least_gain = |c: usize| samples.gains.iter().map(|gain| gain[c]).fold(1.0, f32::min);
+        let clipped = std::array::from_fn(|c| f32::from(CLIPPED) * least_gain(c));
+        Self { size, colour, spread, clipped }
+    }
+
+    /// Largest difference of a channel of pixel `i` of a picture, which has the background's exposure with `gain`. A channel that is
+    /// clipped in one of them may differ less than it seems to, when that one is the darker.
+    pub(crate) fn difference(&self, image: &ImageRgb8, gain: [f32; 3], i: usize) -> f32 {
+        let (here, there) = (colour(image, gain, i), self.colour[i]);
+        let clipped = |c: usize| {
+            if here[c] < there[c] { image.data()[i * 3 + c] >= CLIPPED } else { there[c] >= self.clipped[c] }
+        };
+        (0..3).filter(|&c| !clipped(c)).map(|c| (here[c] - there[c]).abs()).fold(0.0, f32::max)
     }
 
     /// Factors by which an image is multiplied to have the background's exposure.
@@ -66,13 +84,13 @@ pub(super) fn colour(image: &ImageRgb8, gain: [f32; 3], i: usize) -> [f32; 3] {
 }
 
 /// Largest difference of a channel.
-pub(super) fn farthest_channel(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+fn farthest_channel(a: &[f32; 3], b: &[f32; 3]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max)
 }
 
 /// What a fixed camera saw at several times.
 struct Samples<'a> {
-    images: &'a [ImageRgb8],
+    images: Vec<&'a ImageRgb8>,
     masks: &'a [Mask],
     gains: Vec<[f32; 3]>,
 }
@@ -84,7 +102,7 @@ impl Samples<'_> {
     }
 
     fn colour(&self, s: usize, i: usize) -> [f32; 3] {
-        colour(&self.images[s], self.gains[s], i)
+        colour(self.images[s], self.gains[s], i)
     }
 
     /// The colours of a pixel where it is free, else all of them.
@@ -181,7 +199,7 @@ pub(super) fn stride(pixels: usize) -> usize {
 }
 
 /// Per pixel and channel the median of the images, at the pixels that serve for the exposure.
-fn median_image(images: &[ImageRgb8]) -> Vec<[f32; 3]> {
+fn median_image(images: &[&ImageRgb8]) -> Vec<[f32; 3]> {
     let pixels = images[0].size().pixels();
     let mut out = vec![[0.0; 3]; pixels];
     for i in (0..pixels).step_by(stride(pixels)) {
@@ -218,6 +236,10 @@ mod tests {
         ImageRgb8::new(SIZE, (0..SIZE.pixels()).flat_map(|i| [value(i), value(i) / 2, 80]).collect()).unwrap()
     }
 
+    fn picture_of(grey: impl Fn(usize) -> u8) -> ImageRgb8 {
+        ImageRgb8::new(SIZE, (0..SIZE.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap()
+    }
+
     #[test]
     fn what_passes_is_not_background_and_exposure_is_taken_out() {
         // A white block passes over a gradient; the third picture is a tenth brighter.
@@ -246,6 +268,26 @@ mod tests {
         let error = |i: usize| (background.colour[i][0] - gradient(i)).abs();
         let worst = (0..SIZE.pixels()).map(error).fold(0.0, f32::max);
         assert!(worst < 25.0, "{worst}");
+    }
+
+    /// A white wall is clipped in pictures of an exposure that rises by a third, and a lamp is brighter than any of them shows.
+    #[test]
+    fn what_is_clipped_does_not_differ() {
+        let light = |i: usize| if i % 32 < 8 { 280.0 } else { 40.0 + 5.0 * (i % 32) as f32 };
+        let shown = |exposure: f32| picture_of(|i| (light(i) * exposure).min(255.0) as u8);
+        let images: Vec<ImageRgb8> = [0.75, 0.8, 0.85, 0.9, 0.95, 1.0].map(shown).into();
+        let background = Background::learn(&images, &[]);
+        let worst = |image: &ImageRgb8| {
+            let gain = background.gain(image);
+            (0..SIZE.pixels()).map(|i| background.difference(image, gain, i)).fold(0.0, f32::max)
+        };
+        assert!(
+            images.iter().all(|image| worst(image) < 14.0),
+            "{:?}",
+            images.iter().map(worst).collect::<Vec<_>>()
+        );
+        let dark = picture_of(|i| if i == 3 { 150 } else { (light(i) * 0.9).min(255.0) as u8 });
+        assert!(worst(&dark) > 60.0, "something dark before the wall: {}", worst(&dark));
     }
 
     #[test]

@@ -134,7 +134,7 @@ mod tests {
 
     fn background() -> Background {
         let colour = vec![ROAD.map(f32::from); SIZE.pixels()];
-        Background { size: SIZE, colour, spread: vec![2.0; SIZE.pixels()] }
+        Background { size: SIZE, colour, spread: vec![2.0; SIZE.pixels()], clipped: [250.0; 3] }
     }
 
     fn votes(mask: &Mask) -> Vec<f32> {
@@ -170,7 +170,7 @@ mod tests {
         let wrong_there = Background {
             size: SIZE,
             colour: (0..SIZE.pixels()).map(|i| there(i).map(f32::from)).collect(),
-            spread: vec![2.0; SIZE.pixels()],
+            ..background()
         };
         let (ghost, hole, body, road) = (14 * 80 + 26, 14 * 80 + 35, 14 * 80 + 45, 14 * 80 + 53);
         let by_difference = |i: usize| if i == ghost || i == body { 2.0 } else { -2.0 };

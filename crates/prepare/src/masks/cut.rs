@@ -179,6 +179,15 @@ pub(crate) fn add_other_views(votes: &mut [f32], possible: &Mask, confirmed: &Ma
     }
 }
 
+/// What is `never_bare` is foreground where other views find it possible.
+pub(crate) fn cover(votes: &mut [f32], never_bare: &Mask, possible: &Mask) {
+    for (i, vote) in votes.iter_mut().enumerate() {
+        if never_bare.data()[i] == 1 && possible.data()[i] == 1 {
+            *vote = vote.max(MOST);
+        }
+    }
+}
+
 /// The highest of the 3 x 3 values around each.
 fn around(values: &[f32], ImageSize { width, height }: ImageSize) -> Vec<f32> {
     let highest = |i: usize| {
@@ -209,6 +218,7 @@ mod tests {
             size: SIZE,
             colour: (0..SIZE.pixels()).map(|i| [wall(i); 3]).collect(),
             spread: vec![2.0; SIZE.pixels()],
+            clipped: [250.0; 3],
         };
         let grey = |i: usize| if in_disc(i, 12.0) { 200 } else { wall(i) as u8 };
         let image = ImageRgb8::new(SIZE, (0..SIZE.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap();
@@ -263,6 +273,13 @@ mod tests {
         let (doubtful, clear) = (found(1.3), found(5.0));
         assert!(doubtful[0] < 0.0 && doubtful[1] > 0.0 && clear[0] > 0.0, "{doubtful:?} {clear:?}");
         assert!(clear[0] < clear[1] && clear[1] < clear[2], "{clear:?}");
+    }
+
+    #[test]
+    fn what_is_never_bare_is_foreground_unless_other_views_deny_it() {
+        let mut votes = vec![-1.0; 4];
+        cover(&mut votes, &mask(&[0, 1, 1, 0]), &mask(&[0, 0, 1, 1]));
+        assert_eq!(votes, [-1.0, -1.0, MOST, -1.0]);
     }
 
     fn mask(values: &[u8]) -> Mask {

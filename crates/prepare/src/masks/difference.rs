@@ -1,6 +1,6 @@
 //! How much each pixel of a photograph differs from its background, with shadows discounted.
 
-use super::background::{Background, colour, farthest_channel, stride};
+use super::background::{Background, colour, stride};
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use std::ops::RangeInclusive;
@@ -30,7 +30,7 @@ pub(crate) fn levels(background: &Background, images: &[ImageRgb8], masks: &[Mas
         let (gain, near) = (background.gain(image), regions::surroundings(mask));
         let pixels = near.data().len();
         let free = (0..pixels).step_by(stride(pixels)).filter(|&i| near.data()[i] == 0);
-        still.extend(free.map(|i| farthest_channel(&colour(image, gain, i), &background.colour[i])));
+        still.extend(free.map(|i| background.difference(image, gain, i)));
     }
     if still.is_empty() {
         return *LEVELS.end();
@@ -44,19 +44,16 @@ pub(crate) fn levels(background: &Background, images: &[ImageRgb8], masks: &[Mas
 pub(crate) fn raw(image: &ImageRgb8, background: &Background, levels: f32) -> Vec<f32> {
     let gain = background.gain(image);
     let score = |i: usize| {
-        score(colour(image, gain, i), background.colour[i], levels + DEVIATIONS * background.spread[i])
+        let score = background.difference(image, gain, i) / (levels + DEVIATIONS * background.spread[i]);
+        if is_shadow(colour(image, gain, i), background.colour[i]) { score * SHADOW_SCORE } else { score }
     };
     (0..background.size.pixels()).map(score).collect()
 }
 
-/// Cut off above and smoothed over 3 x 3 pixels.
-pub(crate) fn scores(raw: &[f32], size: ImageSize) -> Vec<f32> {
-    smoothed(&raw.iter().map(|r| r.min(HIGHEST)).collect::<Vec<_>>(), size)
-}
-
-fn score(here: [f32; 3], there: [f32; 3], scale: f32) -> f32 {
-    let score = farthest_channel(&here, &there) / scale;
-    if is_shadow(here, there) { score * SHADOW_SCORE } else { score }
+/// Cut off above, where a pixel is `never_bare` the highest, and smoothed over 3 x 3 pixels.
+pub(crate) fn scores(raw: &[f32], never_bare: &Mask) -> Vec<f32> {
+    let score = |(raw, covered): (&f32, &u8)| if *covered == 1 { HIGHEST } else { raw.min(HIGHEST) };
+    smoothed(&raw.iter().zip(never_bare.data()).map(score).collect::<Vec<_>>(), never_bare.size())
 }
 
 /// The background's colour with less light.
@@ -89,19 +86,32 @@ fn smoothed(raw: &[f32], ImageSize { width, height }: ImageSize) -> Vec<f32> {
 mod tests {
     use super::*;
 
+    /// Of one colour.
+    fn background(size: ImageSize, colour: [f32; 3]) -> Background {
+        let pixels = size.pixels();
+        Background { size, colour: vec![colour; pixels], spread: vec![1.5; pixels], clipped: [250.0; 3] }
+    }
+
     #[test]
     fn shadows_score_less_than_things() {
-        let grass = [90.0, 140.0, 60.0];
-        assert!(score(grass.map(|v| 0.82 * v), grass, 14.0) < WEAK);
-        assert!(score([140.0, 90.0, 60.0], grass, 14.0) > HIGHEST);
-        assert!(score(grass.map(|v| v + 3.0), grass, 14.0) < WEAK);
+        // The rest tells the exposure.
+        let size = ImageSize { width: 5, height: 1 };
+        let grass = [90, 140, 60];
+        let background = background(size, grass.map(f32::from));
+        let score = |pixel: [u8; 3]| {
+            let image = ImageRgb8::new(size, [pixel, grass, grass, grass, grass].concat()).unwrap();
+            raw(&image, &background, 10.0)[0]
+        };
+        assert!(score(grass.map(|v| (0.82 * f32::from(v)) as u8)) < WEAK);
+        assert!(score([140, 90, 60]) > HIGHEST);
+        assert!(score(grass.map(|v| v + 3)) < WEAK);
     }
 
     #[test]
     fn a_weak_difference_counts_where_little_else_differs() {
         // The rest tells the exposure.
         let size = ImageSize { width: 5, height: 1 };
-        let background = Background { size, colour: vec![[100.0; 3]; 5], spread: vec![1.5; 5] };
+        let background = background(size, [100.0; 3]);
         let pixels = [[100, 110, 100], [100; 3], [100; 3], [100; 3], [100; 3]];
         let image = ImageRgb8::new(size, pixels.concat()).unwrap();
         let score = |levels: f32| raw(&image, &background, levels)[0];
@@ -113,8 +123,7 @@ mod tests {
     fn levels_follow_what_stands_still() {
         let size = ImageSize { width: 24, height: 20 };
         let block = |i: usize| i % 24 < 4 && i / 24 < 4;
-        let background =
-            Background { size, colour: vec![[100.0; 3]; size.pixels()], spread: vec![1.5; size.pixels()] };
+        let background = background(size, [100.0; 3]);
         let found = |noise: usize, mask: bool| {
             let grey =
                 |i: usize| if block(i) { 250 } else { 100 + (i * 7 % (2 * noise + 1)) as u8 - noise as u8 };

@@ -44,8 +44,8 @@ pub(super) fn masks_of(
         .zip(learnt)
         .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background, l.levels)))
         .collect();
-    let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(&loaded))
-        .map(|(raw, (camera, _))| raw.as_ref().map(|raw| difference::scores(raw, camera.size())))
+    let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(learnt))
+        .map(|(raw, learnt)| Some(difference::scores(raw.as_ref()?, &learnt.as_ref()?.never_bare)))
         .collect();
     let silhouettes: Vec<Silhouette> = loaded
         .iter()
@@ -57,7 +57,7 @@ pub(super) fn masks_of(
         .collect();
     let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
     let refined = |(v, agreed): (usize, &Agreed)| {
-        let (Some(raw), Some(Learnt { background, colours, .. })) = (&raw[v], &learnt[v]) else {
+        let (Some(raw), Some(Learnt { background, colours, never_bare, .. })) = (&raw[v], &learnt[v]) else {
             return agreed.mask.clone();
         };
         let image = &loaded[v].1;
@@ -66,6 +66,7 @@ pub(super) fn masks_of(
             colours.weigh(&mut votes, image, background, &agreed.mask);
         }
         cut::add_other_views(&mut votes, &agreed.possible, &agreed.confirmed);
+        cut::cover(&mut votes, never_bare, &agreed.possible);
         let cut = cut::cheapest(&votes, image, background, &agreed.mask);
         // What colours alone have found is another thing of the same colour.
         let found = touched_by(&cut, |i| agreed.mask.data()[i] == 1);

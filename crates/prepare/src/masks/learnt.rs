@@ -2,12 +2,13 @@
 
 use super::background::Background;
 use super::colours::Colours;
+use super::enclosed::enclosed;
 use super::{LEAST_FRAMES, View, difference, regions};
 use crate::PrepareError;
 use crate::beside::Beside;
 use crate::extraction::file_name;
 use crate::pictures::read_mask;
-use ffgs_core::{ImageRgb8, Mask};
+use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use ffgs_dataset::Capture;
 use std::path::Path;
 
@@ -18,24 +19,80 @@ pub(super) struct Learnt {
     pub levels: f32,
     /// Those of the masks that were made before, and of what is around them.
     pub colours: Option<Colours>,
+    /// What something covers in every frame, unless other views deny it.
+    pub never_bare: Mask,
 }
 
 impl Learnt {
-    /// With pictures and the `masks` of the first ones of them that were made before.
-    fn new(background: Background, images: &[ImageRgb8], masks: &[Mask]) -> Self {
-        let levels = difference::levels(&background, images, masks);
-        let colours = Colours::learn(&background, images, masks);
-        Self { background, levels, colours }
+    /// What was `never_bare` before still is.
+    fn new(seen: &Seen, never_bare: Option<&Mask>) -> Self {
+        let mut never_bare = never_bare.cloned().unwrap_or_else(|| Mask::filled(seen.size(), false));
+        let mut background = seen.background(&never_bare);
+        let enclosed = enclosed(&background, &seen.frames, &seen.masks);
+        if enclosed.count() > 0 {
+            never_bare = either(&never_bare, &enclosed);
+            background = seen.background(&never_bare);
+        }
+        let levels = difference::levels(&background, &seen.frames, &seen.masks);
+        let colours = Colours::learn(&background, &seen.frames, &seen.masks);
+        Self { background, levels, colours, never_bare }
     }
 }
 
-/// The background of a fixed camera: of the empty scene, or from the frames `samples` without what `known` masks of them
+/// Pictures of a camera.
+struct Seen {
+    /// Frames of the capture, with the masks that were made before, or none.
+    frames: Vec<ImageRgb8>,
+    masks: Vec<Mask>,
+    /// Pictures of all of its footage, or of the empty scene.
+    footage: Vec<ImageRgb8>,
+    /// How many pictures the footage has for one that the capture has.
+    longer: f64,
+}
+
+impl Seen {
+    fn size(&self) -> ImageSize {
+        self.frames.first().or(self.footage.first()).expect("a camera has pictures").size()
+    }
+
+    /// What they show where no mask covers it and nothing is `never_bare`. Who stands still in a short part of the footage is not its
+    /// background, so that the frames of that part do not outnumber the rest by more than the part is longer.
+    fn background(&self, never_bare: &Mask) -> Background {
+        let chosen = chosen(self.frames.len(), self.footage.len(), self.longer);
+        let covered = |mask: &Mask| either(&mask.dilated(regions::radius(mask.size())), never_bare);
+        let masks: Vec<Mask> = chosen.iter().filter_map(|&i| self.masks.get(i)).map(covered).collect();
+        let frames = chosen.iter().map(|&i| &self.frames[i]);
+        Background::learn(&frames.chain(&self.footage).collect::<Vec<_>>(), &masks)
+    }
+}
+
+/// So many of the `frames`, spread over them, as belong beside `footage` that is so many times longer; half as many as of that at least.
+fn chosen(frames: usize, footage: usize, longer: f64) -> Vec<usize> {
+    let fair = if longer > 1.0 { (footage as f64 / (longer - 1.0)).ceil() as usize } else { frames };
+    let count = fair.max(footage / 2).min(frames);
+    (0..count).map(|i| (2 * i + 1) * frames / (2 * count)).collect()
+}
+
+/// What one of two masks covers, or both.
+fn either(a: &Mask, b: &Mask) -> Mask {
+    let data = a.data().iter().zip(b.data()).map(|(a, b)| a | b);
+    Mask::new(a.size(), data.collect()).expect("masks of one camera have one size")
+}
+
+/// What the round before has left: the folder of its masks, and what it knew of the camera.
+#[derive(Clone, Copy)]
+pub(super) struct Before<'a> {
+    pub folder: &'a Path,
+    pub learnt: Option<&'a Learnt>,
+}
+
+/// The background of a fixed camera: of the empty scene, or from the frames `samples` without what the masks of them from the round `before`
 /// cover, and from more of its footage; and the colours of these masks.
 pub(super) fn learn(
     capture: &Capture,
     view: &View,
     samples: &[usize],
-    known: Option<&Path>,
+    before: Option<Before>,
     beside: &Beside,
 ) -> Result<Option<Learnt>, PrepareError> {
     if !view.fixed {
@@ -43,21 +100,54 @@ pub(super) fn learn(
     }
     if beside.has_clean_plate(&view.name) {
         let empty = beside.clean_plates(&view.name)?;
-        return Ok((!empty.is_empty()).then(|| Learnt::new(Background::learn(&empty, &[]), &[], &[])));
+        let seen = Seen { frames: Vec::new(), masks: Vec::new(), footage: empty, longer: 1.0 };
+        return Ok((!seen.footage.is_empty()).then(|| Learnt::new(&seen, None)));
     }
     if samples.len() < LEAST_FRAMES {
         return Ok(None);
     }
-    let mut images = Vec::new();
-    let mut masks = Vec::new();
+    let (mut frames, mut masks) = (Vec::new(), Vec::new());
     for &frame in samples {
-        images.push(capture.load_image(view.split, view.index, frame)?);
-        if let Some(folder) = known {
-            masks.push(read_mask(&folder.join(file_name(&view.name, frame)))?);
+        frames.push(capture.load_image(view.split, view.index, frame)?);
+        if let Some(before) = before {
+            masks.push(read_mask(&before.folder.join(file_name(&view.name, frame)))?);
         }
     }
-    images.extend(beside.footage(&view.name)?);
-    let covered: Vec<Mask> = masks.iter().map(|m| m.dilated(regions::radius(m.size()))).collect();
-    let background = Background::learn(&images, &covered);
-    Ok(Some(Learnt::new(background, &images, &masks)))
+    let longer = beside.length(&view.name) as f64 / capture.frames() as f64;
+    let seen = Seen { frames, masks, footage: beside.footage(&view.name)?, longer };
+    let never_bare = before.and_then(|before| before.learnt).map(|learnt| &learnt.never_bare);
+    Ok(Some(Learnt::new(&seen, never_bare)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_of_a_short_part_do_not_outnumber_the_footage() {
+        assert_eq!(chosen(20, 16, 1.0).len(), 20, "the capture is all of its footage");
+        assert_eq!(chosen(20, 16, 2.0).len(), 16, "half of it: as many as of the rest");
+        assert_eq!(chosen(20, 16, 8.0).len(), 8, "an eighth");
+        assert_eq!(chosen(20, 0, 1.0).len(), 20, "no footage");
+        assert_eq!(chosen(8, 8, 1e3), [1, 3, 5, 7]);
+    }
+
+    /// Someone stands in a corner in all frames of a part, and nowhere else in the footage.
+    #[test]
+    fn who_stands_still_in_a_part_is_not_the_background() {
+        let size = ImageSize { width: 40, height: 30 };
+        let picture = |stands: bool| {
+            let grey = |i: usize| if stands && i % 40 < 8 && i / 40 < 10 { 200 } else { 60 + (i % 40) as u8 };
+            ImageRgb8::new(size, (0..size.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap()
+        };
+        let seen = |longer: f64| Seen {
+            frames: vec![picture(true); 20],
+            masks: Vec::new(),
+            footage: (0..16).map(|i| picture(i == 7)).collect(),
+            longer,
+        };
+        let corner = |longer: f64| seen(longer).background(&Mask::filled(size, false)).colour[0][0];
+        assert!((corner(20.0) - 60.0).abs() < 2.0, "{}", corner(20.0));
+        assert!((corner(1.0) - 200.0).abs() < 2.0, "of all frames most: {}", corner(1.0));
+    }
 }

@@ -7,12 +7,15 @@ mod contact_sheet;
 mod continuation;
 mod cut;
 mod difference;
+mod enclosed;
 mod frame;
 mod learnt;
 mod regions;
 mod rounds;
 
 use crate::beside::Beside;
+use crate::extraction::file_name;
+use crate::pictures::read_mask;
 use crate::{PrepareError, Progress};
 use ffgs_dataset::{Capture, Split};
 use rounds::Rounds;
@@ -58,7 +61,23 @@ pub(crate) fn make(
     let seg = capture.root().join("seg");
     fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
     contact_sheet::write(capture, &seg)?;
-    Ok(format!("{}; look at {SHEET}", made_from(plates, fixed, views.len())))
+    let source = made_from(plates, fixed, views.len());
+    let found = if are_empty(&seg, &views, capture.frames())? {
+        ", and ALL EMPTY: nothing moves by enough to be told from what stands still, so that a run takes the scene for static"
+    } else {
+        ""
+    };
+    Ok(format!("{source}{found}; look at {SHEET}"))
+}
+
+/// Whether no mask of any view holds anything.
+fn are_empty(seg: &Path, views: &[View], frames: usize) -> Result<bool, PrepareError> {
+    for (view, frame) in views.iter().flat_map(|view| (0..frames).map(move |frame| (view, frame))) {
+        if read_mask(&seg.join(file_name(&view.name, frame)))?.count() > 0 {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// What the masks of `all` cameras were made from.

@@ -37,6 +37,11 @@ pub(crate) fn filled(mask: &Mask, hole: f64, possible: &Mask) -> Mask {
     kept(mask, 0, |region| region.len() as f64 > largest || 2 * inside(region) <= region.len())
 }
 
+/// The mask with the holes filled, of any size and also at the border, for whose pixels `fills` holds.
+pub(crate) fn filled_where(mask: &Mask, fills: impl Fn(&mut dyn Iterator<Item = usize>) -> bool) -> Mask {
+    kept(mask, 0, |region| !fills(&mut region.pixels()))
+}
+
 /// The mask with the regions of `value` that `keep` refuses turned over.
 fn kept(mask: &Mask, value: u8, keep: impl Fn(&Region) -> bool) -> Mask {
     let mut data = mask.data().to_vec();

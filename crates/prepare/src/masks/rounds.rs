@@ -3,7 +3,7 @@
 use super::View;
 use super::change::Change;
 use super::frame::masks_of;
-use super::learnt::{Learnt, learn};
+use super::learnt::{Before, Learnt, learn};
 use crate::PrepareError;
 use crate::beside::Beside;
 use crate::extraction::file_name;
@@ -57,7 +57,7 @@ impl Rounds<'_> {
         most: usize,
         progress: &dyn Fn(usize, usize),
     ) -> Result<AllLearnt, PrepareError> {
-        let mut learnt = self.learn(samples, false)?;
+        let mut learnt = self.learn(samples, None)?;
         for round in 0.. {
             let mut change = Change::default();
             for (i, &frame) in samples.iter().enumerate() {
@@ -74,15 +74,18 @@ impl Rounds<'_> {
             if round + 1 == most || round > 0 && change.share() < SETTLED {
                 break;
             }
-            learnt = self.learn(samples, true)?;
+            learnt = self.learn(samples, Some(&learnt))?;
         }
         Ok(learnt)
     }
 
-    /// From the samples, whose masks are `known` or not.
-    fn learn(&self, samples: &[usize], known: bool) -> Result<AllLearnt, PrepareError> {
-        let known = known.then_some(self.folder);
-        self.views.par_iter().map(|view| learn(self.capture, view, samples, known, self.beside)).collect()
+    /// From the samples, with masks of them if there was a round `before`.
+    fn learn(&self, samples: &[usize], before: Option<&AllLearnt>) -> Result<AllLearnt, PrepareError> {
+        let one = |(v, view): (usize, &View)| {
+            let before = before.map(|all| Before { folder: self.folder, learnt: all[v].as_ref() });
+            learn(self.capture, view, samples, before, self.beside)
+        };
+        self.views.par_iter().enumerate().map(one).collect()
     }
 
     /// How the masks of a frame differ from those that were written before.
