@@ -125,7 +125,7 @@ impl Samples<'_> {
 }
 
 /// The middle value; 0 of none.
-fn median(mut values: Vec<f32>) -> f32 {
+pub(super) fn median(mut values: Vec<f32>) -> f32 {
     values.sort_unstable_by(f32::total_cmp);
     let n = values.len();
     if n == 0 { 0.0 } else { f32::midpoint(values[(n - 1) / 2], values[n / 2]) }

@@ -2,7 +2,7 @@
 //! the trunk between the outlines is that background: it is enclosed by what moves, and what texture it has does not lie still
 //! (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md).
 
-use super::background::{Background, colour, stride};
+use super::background::{Background, colour, median, stride};
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
 use rayon::prelude::*;
@@ -22,7 +22,10 @@ pub(super) fn enclosed(background: &Background, images: &[ImageRgb8], masks: &[M
     let Some(together) = union(masks) else { return Mask::filled(size, false) };
     let sway = sway(background, &images[..masks.len()]);
     let near = regions::surroundings(&together);
-    let others = (0..size.pixels()).filter(|&i| near.data()[i] == 0).filter_map(|i| sway[i]);
+    let others = (0..size.pixels())
+        .step_by(stride(size.pixels()))
+        .filter(|&i| near.data()[i] == 0)
+        .filter_map(|i| sway[i]);
     let least = SWAY_PX.max(OF_CAMERA * median(others.collect()));
     let filled = regions::filled_where(&together, |pixels| {
         let (mut textured, mut moving, mut inside) = (0, 0, true);
@@ -91,12 +94,6 @@ fn step(colours: &[[f32; 3]], ImageSize { width, height }: ImageSize, i: usize) 
         right.hypot(down)
     };
     (0..3).map(change).fold(0.0, f32::max)
-}
-
-/// The middle value; 0 of none.
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
 #[cfg(test)]
