@@ -21,6 +21,8 @@ pub struct ReportInput {
     pub facts: Vec<Fact>,
     /// How the capture was made of footage: what was read, made, assumed and skipped; empty when that is not known.
     pub preparation: Vec<Fact>,
+    /// Whether the frames' views are views that were trained on, for want of test views.
+    pub trained_on: bool,
     /// Frames in order.
     pub frames: Vec<FrameReport>,
     /// What was skipped and how often.
@@ -75,7 +77,7 @@ pub struct SkipCount {
 pub struct FrameReport {
     /// Frame index in the capture.
     pub index: usize,
-    /// Test views.
+    /// Test views, or, as [`ReportInput::trained_on`] says, training views.
     pub views: Vec<ViewReport>,
     /// Mean foreground PSNR before finetuning (dB).
     pub initial_mpsnr: Option<f64>,
@@ -94,7 +96,7 @@ pub struct FrameReport {
     pub pictures: Option<PathBuf>,
 }
 
-/// One test view of one frame. A metric is absent where it is not defined (an empty mask has no MPSNR).
+/// One test or training view of one frame. A metric is absent where it is not defined (an empty mask has no MPSNR).
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ViewReport {

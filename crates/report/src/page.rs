@@ -19,7 +19,7 @@ const SCRIPT: &str = include_str!("../templates/script.js");
 
 #[derive(Serialize)]
 struct Headline {
-    label: &'static str,
+    label: String,
     value: String,
     unit: &'static str,
 }
@@ -34,6 +34,8 @@ struct Page<'a> {
     motion_plots: Vec<String>,
     timing: Vec<Row>,
     error_range: f64,
+    /// Whether any frame has views to be shown.
+    has_views: bool,
     /// Whether any camera is held out.
     has_test_views: bool,
 }
@@ -61,16 +63,18 @@ pub fn write_report(path: &Path, input: &ReportInput) -> Result<(), ReportError>
 }
 
 fn render(input: &ReportInput) -> Result<String, ReportError> {
+    let has_views = input.frames.iter().any(|frame| !frame.views.is_empty());
     let page = Page {
         input,
         style: STYLE,
         script: SCRIPT,
-        headlines: headlines(&input.frames),
-        plots: plots(&input.frames),
+        headlines: headlines(input),
+        plots: plots(input),
         motion_plots: motion_plots(&input.motion),
         timing: rows(&input.frames),
         error_range: picture::ERROR_RANGE,
-        has_test_views: input.frames.iter().any(|frame| !frame.views.is_empty()),
+        has_views,
+        has_test_views: has_views && !input.trained_on,
     };
     let mut environment = Environment::new();
     environment.add_template("report.html", TEMPLATE)?;
@@ -94,8 +98,9 @@ fn mean_of(frame: &FrameReport, metric: Metric) -> Option<f64> {
 }
 
 /// Means over the frames after the first, as in `metrics.json`. What was not measured is left out: without test views there is no quality,
-/// and that of videos comes with `ffgs eval`.
-fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
+/// and that of videos comes with `ffgs eval`. Efficiencies are of test views alone.
+fn headlines(input: &ReportInput) -> Vec<Headline> {
+    let frames = &input.frames[..];
     let later = frames.get(1..).filter(|f| !f.is_empty()).unwrap_or(frames);
     let over =
         |f: &dyn Fn(&FrameReport) -> Option<f64>| mean(&later.iter().filter_map(f).collect::<Vec<_>>());
@@ -104,21 +109,24 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     let megabytes = over(&|f| Some(f.bytes as f64 / 1e6));
     let seconds = over(&|f| f.seconds.get(stage::WALL).copied()).filter(|seconds| *seconds > 0.0);
     let (psnr, vmaf) = (metric(|v| v.psnr), metric(|v| v.vmaf));
-    let per_second = |quality: Option<f64>| Some(quality? / seconds?);
+    let seconds_of_quality = seconds.filter(|_| !input.trained_on);
+    let per_second = |quality: Option<f64>| Some(quality? / seconds_of_quality?);
+    let of_views = |name: &str| format!("{name}{}", of_views(input));
+    let cost = str::to_owned;
     let values = [
-        ("PSNR", psnr, 2, "dB"),
-        ("MPSNR (foreground)", metric(|v| v.mpsnr), 2, "dB"),
-        ("SSIM", metric(|v| v.ssim), 4, ""),
-        ("Time per frame", over(&|f| f.seconds.get(stage::WALL).copied()), 2, "s"),
-        ("PSNR per second (PE)", per_second(psnr), 2, "dB/s"),
-        ("Gaussians", gaussians, 1, "thousand"),
-        ("On disk per frame", megabytes, 2, "MB"),
-        ("VMAF", vmaf, 2, ""),
-        ("VMAF per second (VE)", per_second(vmaf), 2, "1/s"),
-        ("Flicker", metric(|v| v.flicker), 3, "levels"),
-        ("MSSIM (foreground)", metric(|v| v.mssim), 4, ""),
-        ("MVMAF (foreground)", metric(|v| v.mvmaf), 2, ""),
-        ("Flicker of the foreground", metric(|v| v.mflicker), 3, "levels"),
+        (of_views("PSNR"), psnr, 2, "dB"),
+        (of_views("MPSNR (foreground)"), metric(|v| v.mpsnr), 2, "dB"),
+        (of_views("SSIM"), metric(|v| v.ssim), 4, ""),
+        (cost("Time per frame"), over(&|f| f.seconds.get(stage::WALL).copied()), 2, "s"),
+        (cost("PSNR per second (PE)"), per_second(psnr), 2, "dB/s"),
+        (cost("Gaussians"), gaussians, 1, "thousand"),
+        (cost("On disk per frame"), megabytes, 2, "MB"),
+        (cost("VMAF"), vmaf, 2, ""),
+        (cost("VMAF per second (VE)"), per_second(vmaf), 2, "1/s"),
+        (cost("Flicker"), metric(|v| v.flicker), 3, "levels"),
+        (of_views("MSSIM (foreground)"), metric(|v| v.mssim), 4, ""),
+        (cost("MVMAF (foreground)"), metric(|v| v.mvmaf), 2, ""),
+        (cost("Flicker of the foreground"), metric(|v| v.mflicker), 3, "levels"),
     ];
     let headline = |(label, value, decimals, unit): (_, Option<f64>, usize, _)| {
         Some(Headline { label, value: format!("{:.decimals$}", value?), unit })
@@ -126,7 +134,13 @@ fn headlines(frames: &[FrameReport]) -> Vec<Headline> {
     values.into_iter().filter_map(headline).collect()
 }
 
-fn plots(frames: &[FrameReport]) -> Vec<String> {
+/// Of which views a curve or a figure is, where that is not plain.
+fn of_views(input: &ReportInput) -> &'static str {
+    if input.trained_on { " of views that were trained on" } else { "" }
+}
+
+fn plots(input: &ReportInput) -> Vec<String> {
+    let frames = &input.frames[..];
     let metrics: [(&str, Metric); 5] = [
         ("PSNR (dB)", |v| v.psnr),
         ("MPSNR (dB)", |v| v.mpsnr),
@@ -138,7 +152,9 @@ fn plots(frames: &[FrameReport]) -> Vec<String> {
     let mut out: Vec<String> = metrics
         .into_iter()
         .filter(|(_, metric)| measured(*metric))
-        .map(|(label, metric)| over_frames(label, &metric_series(frames, metric)))
+        .map(|(label, metric)| {
+            over_frames(&format!("{label}{}", of_views(input)), &metric_series(frames, metric))
+        })
         .collect();
     let count = |name: &str, of: fn(&FrameReport) -> usize| {
         let points = frames.iter().map(|f| (f.index as f64, Some(of(f) as f64))).collect();

@@ -29,7 +29,7 @@ pub(crate) const ERROR_RANGE: f64 = 64.0;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct FramePictures {
-    /// Ground truth, render and error of each test view, in the order of the frame's views.
+    /// Ground truth, render and error of each view that measures the frame, in the order of the frame's views.
     pub views: Vec<[String; 3]>,
     /// Fused displacement ([`crate::motion_picture`]), if drawn.
     pub motion: Option<String>,

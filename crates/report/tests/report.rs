@@ -100,6 +100,26 @@ fn a_run_without_test_views_claims_no_quality() {
     assert!(
         unmeasured.contains("No camera of this capture is held out") && !measured.contains("is held out")
     );
+    assert!(!unmeasured.contains("trained on") && !measured.contains("trained on"));
+}
+
+/// Its views are the training views then, and everything that shows them says so.
+#[test]
+fn figures_of_training_views_are_called_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let mut input = ReportInput { trained_on: true, ..run(folder.path()) };
+    input.frames.iter_mut().for_each(|frame| {
+        frame.seconds.insert("wall".into(), 4.0);
+    });
+    write_report(&path, &input).unwrap();
+    let html = fs::read_to_string(&path).unwrap();
+    assert!(html.contains("<small>PSNR of views that were trained on</small>"));
+    assert!(html.contains("aria-label=\"PSNR (dB) of views that were trained on\""));
+    assert!(html.contains("<h2>Views that were trained on (better than new places)</h2>"));
+    assert!(html.contains("No camera of this capture is held out") && !html.contains("<h2>Test views"));
+    assert!(!html.contains("PSNR per second"), "an efficiency is of test views");
+    assert!(html.contains("<div class=\"triptych\">"), "their pictures are shown");
 }
 
 #[test]

@@ -67,15 +67,11 @@ impl Console {
     /// A frame is written.
     pub(crate) fn end_frame(&self, record: &FrameRecord) {
         self.estimate_time();
-        let quality = |name: &str, of: fn(&ViewMetrics) -> Option<f64>| {
-            let value = mean(record.views.iter().filter_map(of));
-            value.map_or_else(String::new, |value| format!("{name} {value:.2} dB, "))
-        };
         self.say(&format!(
             "frame {}: {}{}{} + {} Gaussians, {:.1} s",
             record.frame,
-            quality("PSNR", |v| Some(v.psnr)),
-            quality("MPSNR", |v| v.mpsnr),
+            quality("", &record.views),
+            quality("training views ", &record.training_views),
             record.static_gaussians,
             record.dynamic_gaussians,
             record.log.seconds.get(stage::WALL).copied().unwrap_or(0.0)
@@ -108,18 +104,31 @@ impl Console {
     pub(crate) fn finish(&self, metrics: &Metrics) {
         self.frames.finish_and_clear();
         let m = &metrics.mean;
-        if m.psnr.is_none() {
+        let (views, psnr, mpsnr, ssim) = match &metrics.mean_training_views {
+            Some(t) => ("the views that were trained on", t.psnr, t.mpsnr, t.ssim),
+            None => ("test views", m.psnr, m.mpsnr, m.ssim),
+        };
+        if psnr.is_none() {
             return;
         }
         let show = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.2}"));
         self.say(&format!(
-            "mean over test views, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s per frame",
-            show(m.psnr),
-            show(m.mpsnr),
-            show(m.ssim),
+            "mean over {views}, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s per frame",
+            show(psnr),
+            show(mpsnr),
+            show(ssim),
             show(m.seconds_per_frame)
         ));
     }
+}
+
+/// PSNR and MPSNR of views for the line of a frame; nothing for no views.
+fn quality(kind: &str, views: &[ViewMetrics]) -> String {
+    let told = |name: &str, value: Option<f64>| {
+        value.map_or_else(String::new, |value| format!("{name} {value:.2} dB, "))
+    };
+    let psnr = mean(views.iter().map(|v| v.psnr));
+    told(&format!("{kind}PSNR"), psnr) + &told("MPSNR", mean(views.iter().filter_map(|v| v.mpsnr)))
 }
 
 impl Monitor for Console {

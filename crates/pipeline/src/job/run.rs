@@ -23,7 +23,9 @@ use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
 use crate::outputs::record::{FrameRecord, Metrics};
 use crate::outputs::scene_files::write_splats;
-use crate::outputs::scoring::{TestView, load_tests, mean_mpsnr, score, thumbnails, write_png};
+use crate::outputs::scoring::{
+    ScoredView, load_tests, load_trained_on, mean_mpsnr, score, thumbnails, write_png,
+};
 use crate::outputs::state;
 use crate::outputs::turntable::write_turntable;
 use crate::plugins::choice::MethodChoice;
@@ -305,7 +307,7 @@ impl<'a> Job<'a> {
         let tracks = track_checksums(&*self.capture, &self.views, frame)?;
         record.inputs = Some(frame_digest(&[own, &of_tests, others, &tracks]));
         let measured = Measured { tests, ..Measured::default() };
-        let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
+        let record = self.finish(frame, &state, reconstructor, measured, record)?;
         Ok((state, record))
     }
 
@@ -351,7 +353,7 @@ impl<'a> Job<'a> {
         write_changed(&state.exposures, &self.folder, frame)?;
         record.log.add_seconds(stage::WALL, start.elapsed().as_secs_f64() - measured.seconds);
         record.inputs = Some(frame_digest(&[&sums, &measured.sums, &track_sums]));
-        let record = self.finish(frame, &state.scene, reconstructor, measured, record)?;
+        let record = self.finish(frame, &state, reconstructor, measured, record)?;
         Ok((state, record))
     }
 
@@ -399,17 +401,24 @@ impl<'a> Job<'a> {
     fn finish(
         &self,
         frame: usize,
-        scene: &Scene,
+        state: &State,
         reconstructor: &Reconstructor,
         measured: Measured,
         mut record: FrameRecord,
     ) -> Result<FrameRecord> {
         let Measured { tests, mut pictures, initial_mpsnr, .. } = measured;
+        let scene = &state.scene;
         record.initial_mpsnr = initial_mpsnr;
         let folder = self.folder.frame(frame);
         let splats = write_splats(&folder, scene)?;
-        (record.views, pictures.views) =
-            score(&*self.capture, scene, (&tests, &self.trained_cameras(frame)?), &folder, self.devices())?;
+        let trained = self.trained_cameras(frame)?;
+        let score =
+            |views: &[ScoredView]| score(&*self.capture, scene, (views, &trained), &folder, self.devices());
+        (record.views, pictures.views) = score(&tests)?;
+        if tests.is_empty() {
+            let views = load_trained_on(&*self.capture, &state.exposures, &self.views, frame)?;
+            (record.training_views, pictures.views) = score(&views)?;
+        }
         write_json(&self.folder.pictures(frame), &pictures)?;
         record.static_gaussians = scene.static_layer.len();
         record.dynamic_gaussians = scene.dynamic.gaussians.len();
@@ -446,7 +455,7 @@ fn forget_motion_accuracy(folder: &RunFolder) -> Result<()> {
 /// What is known of a frame before it is trained, and the test views on which it is measured afterwards.
 #[derive(Default)]
 struct Measured {
-    tests: Vec<TestView>,
+    tests: Vec<ScoredView>,
     /// Of the test views.
     sums: Vec<Checksum>,
     pictures: FramePictures,

@@ -46,6 +46,7 @@ pub fn publish(folder: &RunFolder, manifest: &Manifest, metrics: &Metrics) -> Re
         configuration: manifest.config.to_toml()?,
         facts,
         preparation: preparation(folder, manifest)?,
+        trained_on: metrics.mean_training_views.is_some(),
         frames: metrics.frames.iter().map(|f| frame_report(folder, f)).collect(),
         skips: skips.into_iter().map(|(what, count)| SkipCount { what, count }).collect(),
         warnings: metrics
@@ -90,7 +91,7 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
     };
     FrameReport {
         index: f.frame,
-        views: f.views.iter().map(view).collect(),
+        views: f.views.iter().chain(&f.training_views).map(view).collect(),
         initial_mpsnr: f.initial_mpsnr,
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,

@@ -7,7 +7,7 @@ use ffgs_core::{StageLog, stage};
 use ffgs_method::{Capture, Split};
 use serde::{Deserialize, Serialize};
 
-/// Metrics of one test view.
+/// Metrics of one view: a test view, or a training view where a capture has no test views.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ViewMetrics {
     /// Camera.
@@ -45,6 +45,10 @@ pub struct FrameRecord {
     pub frame: usize,
     /// Test views.
     pub views: Vec<ViewMetrics>,
+    /// Some of the views that the frame was trained on, where the capture has no test views: their quality is higher than that of new
+    /// places.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub training_views: Vec<ViewMetrics>,
     /// Mean foreground PSNR over the test views before any finetuning (dB), which measures the motion initialisation.
     #[serde(default)]
     pub initial_mpsnr: Option<f64>,
@@ -83,11 +87,16 @@ impl FrameRecord {
     pub fn read(folder: &RunFolder, frame: usize, capture: &dyn Capture) -> Result<Self> {
         let file = folder.record(frame);
         let record: Self = read_json(&file)?;
-        let known = |camera: &str| capture.views(Split::Test).iter().any(|view| view == camera);
-        let stranger = record.views.iter().find(|view| !known(&view.camera));
+        let stranger = |views: &[ViewMetrics], split, kind: &str| {
+            let known = |view: &ViewMetrics| capture.views(split).contains(&view.camera);
+            let unknown = views.iter().find(|view| !known(view));
+            unknown.map(|view| format!("the capture has no {kind} camera {:?}", view.camera))
+        };
+        let stranger = stranger(&record.views, Split::Test, "test")
+            .or_else(|| stranger(&record.training_views, Split::Train, "training"));
         let fault = match stranger {
             _ if record.frame != frame => format!("it is of frame {}", record.frame),
-            Some(view) => format!("the capture has no test camera {:?}", view.camera),
+            Some(fault) => fault,
             None => return Ok(record),
         };
         bail!("{}: {fault}; remove this frame's folder and resume", file.display())
@@ -138,6 +147,19 @@ pub struct Mean {
     pub bytes_per_frame_with_first: Option<f64>,
 }
 
+/// Means over frames and training views. Without cost or speed: efficiencies are of quality in new places.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct TrainingMean {
+    /// PSNR (dB).
+    pub psnr: Option<f64>,
+    /// PSNR over the foreground (dB).
+    pub mpsnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// Structural similarity over the foreground.
+    pub mssim: Option<f64>,
+}
+
 /// `metrics.json`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Metrics {
@@ -145,6 +167,9 @@ pub struct Metrics {
     pub mean: Mean,
     /// Over the test cameras that stand still.
     pub mean_trackside: Mean,
+    /// Over the training views of all frames >= 1 where there are no test views; else absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_training_views: Option<TrainingMean>,
     /// Every frame.
     pub frames: Vec<FrameRecord>,
 }
@@ -180,6 +205,16 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
     }
 }
 
+fn summarise_training_views(frames: &[FrameRecord]) -> Option<TrainingMean> {
+    let views = || frames.iter().filter(|f| f.frame > 0).flat_map(|f| &f.training_views);
+    frames.iter().any(|f| !f.training_views.is_empty()).then(|| TrainingMean {
+        psnr: mean(views().map(|v| v.psnr)),
+        mpsnr: mean(views().filter_map(|v| v.mpsnr)),
+        ssim: mean(views().map(|v| v.ssim)),
+        mssim: mean(views().filter_map(|v| v.mssim)),
+    })
+}
+
 impl Metrics {
     /// Summarises finished frames.
     pub fn of(frames: Vec<FrameRecord>) -> Self {
@@ -197,6 +232,7 @@ impl Metrics {
     fn summarise(&mut self) {
         self.mean = summarise(&self.frames, |_| true);
         self.mean_trackside = summarise(&self.frames, |v| v.fixed);
+        self.mean_training_views = summarise_training_views(&self.frames);
     }
 }
 
@@ -239,5 +275,13 @@ mod tests {
         assert_eq!(read(1, &known).unwrap().views.len(), 1);
         assert!(read(2, &known).unwrap_err().contains("frame.json: it is of frame 2"));
         assert!(read(1, "../../../../secret").unwrap_err().contains("no test camera \"../../../../secret\""));
+        let trained = |camera: &str| {
+            let training_views = vec![ViewMetrics { camera: camera.into(), ..ViewMetrics::default() }];
+            let record = FrameRecord { frame: 1, training_views, ..FrameRecord::default() };
+            write_json(&run.record(1), &record).unwrap();
+            FrameRecord::read(&run, 1, &*capture).map_err(|error| error.to_string())
+        };
+        assert_eq!(trained(&capture.views(Split::Train)[0]).unwrap().training_views.len(), 1);
+        assert!(trained(&known).unwrap_err().contains("no training camera"));
     }
 }

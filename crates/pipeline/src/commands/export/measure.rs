@@ -1,7 +1,7 @@
 //! How an export looks in a player, beside the run's own renders.
 
 use crate::outputs::picture::{draw, panorama_picture};
-use crate::outputs::scoring::{TestView, load_tests};
+use crate::outputs::scoring::{ScoredView, load_tests};
 use anyhow::Result;
 use ffgs_core::{Gaussians, ImageSize, Mask, Scene};
 use ffgs_method::Capture;
@@ -52,7 +52,7 @@ pub(crate) fn measure(
     frame: usize,
 ) -> Result<Measurement> {
     let mut sums: [Sums; 3] = Default::default();
-    for TestView { truth, exposure } in load_tests(capture, exposures, frame)?.0 {
+    for ScoredView { truth, exposure, .. } in load_tests(capture, exposures, frame)?.0 {
         let camera = &truth.camera;
         let own_sky = sky_picture(&scene.sky, camera);
         let (mut ours, transmittance) = draw(&scene.layers(), camera, &own_sky);

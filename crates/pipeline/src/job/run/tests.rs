@@ -15,9 +15,16 @@ use std::sync::{Arc, Mutex};
 struct Counting {
     capture: Box<dyn Capture>,
     opened: Arc<Mutex<BTreeMap<String, usize>>>,
+    /// Whether it has no test views, as most that are filmed.
+    spares_no_camera: bool,
 }
 
 impl Counting {
+    fn new(capture: &Path, opened: &Arc<Mutex<BTreeMap<String, usize>>>) -> Self {
+        let capture = open_capture(capture).unwrap();
+        Self { capture, opened: Arc::clone(opened), spares_no_camera: false }
+    }
+
     fn count(&self, what: &str, at: ViewAt) {
         *self.opened.lock().unwrap().entry(format!("{what} {at:?}")).or_default() += 1;
     }
@@ -33,7 +40,7 @@ impl Capture for Counting {
     }
 
     fn views(&self, split: Split) -> &[String] {
-        self.capture.views(split)
+        if self.spares_no_camera && split == Split::Test { &[] } else { self.capture.views(split) }
     }
 
     fn camera(&self, at: ViewAt) -> Result<Camera, Fault> {
@@ -48,6 +55,11 @@ impl Capture for Counting {
     fn image_with_file(&self, at: ViewAt) -> Result<(ImageRgb8, Option<Vec<u8>>), Fault> {
         self.count("image", at);
         self.capture.image_with_file(at)
+    }
+
+    fn image_file(&self, at: ViewAt) -> Option<PathBuf> {
+        // A resumed run compares the files.
+        self.spares_no_camera.then(|| self.capture.image_file(at))?
     }
 
     fn mask(&self, at: ViewAt) -> Result<Option<Mask>, Fault> {
@@ -67,7 +79,7 @@ fn a_run_opens_each_image_and_mask_once() {
     let mut request = request(&folder.path().join("out"), &[], 2, false);
     request.device = Device::Cpu;
     let opened = Arc::default();
-    let counting = Counting { capture: open_capture(&request.capture).unwrap(), opened: Arc::clone(&opened) };
+    let counting = Counting::new(&request.capture, &opened);
     let tests = counting.views(Split::Test).len();
     let starts = counting.views(Split::Init).len();
     run_frames(&Job::on(Box::new(counting), &request).unwrap(), &|| Ok(())).unwrap();
@@ -76,12 +88,51 @@ fn a_run_opens_each_image_and_mask_once() {
     assert_eq!(opened.len(), 2 * (2 * (3 + tests) + starts));
 }
 
+/// A run of the sample on the CPU, and its `metrics.json`.
+fn metrics_of(request: &RunRequest, spares_no_camera: bool) -> serde_json::Value {
+    let capture = Counting { spares_no_camera, ..Counting::new(&request.capture, &Arc::default()) };
+    run_frames(&Job::on(Box::new(capture), request).unwrap(), &|| Ok(())).unwrap();
+    read_json(&request.out.join("metrics.json")).unwrap()
+}
+
+#[test]
+fn a_capture_without_test_views_is_measured_on_views_that_were_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let on_cpu = |name: &str, frames, resume| RunRequest {
+        device: Device::Cpu,
+        ..request(&out(name), &[], frames, resume)
+    };
+    metrics_of(&on_cpu("cut", 1, false), true);
+    let (whole, resumed) =
+        (metrics_of(&on_cpu("whole", 2, false), true), metrics_of(&on_cpu("cut", 2, true), true));
+    for (metrics, frame) in [(&whole, 0), (&whole, 1), (&resumed, 0), (&resumed, 1)] {
+        let record = &metrics["frames"][frame];
+        let views = record["training_views"].as_array().unwrap();
+        let names: Vec<&str> = views.iter().map(|view| view["camera"].as_str().unwrap()).collect();
+        assert_eq!(names, ["trk000", "trk004", "trk008"]);
+        assert!(views.iter().all(|view| view["psnr"].as_f64().unwrap() > 5.0), "{views:?}");
+        assert!(views.iter().any(|view| view["mpsnr"].is_f64()) && record["views"] == serde_json::json!([]));
+        assert_eq!(record["training_views"], whole["frames"][frame]["training_views"], "resumed");
+    }
+    let of = |view: usize| whole["frames"][1]["training_views"][view]["psnr"].as_f64().unwrap();
+    let mean = whole["mean_training_views"]["psnr"].as_f64().unwrap();
+    assert!((mean - (of(0) + of(1) + of(2)) / 3.0).abs() < 1e-9 && whole["mean"]["psnr"].is_null());
+    let report = std::fs::read_to_string(out("cut").join("report.html")).unwrap();
+    assert!(report.contains("aria-label=\"PSNR (dB) of views that were trained on\""));
+    let pictures: FramePictures = read_json(&RunFolder(out("cut")).pictures(1)).unwrap();
+    assert!(pictures.views.len() == 3 && !RunFolder(out("cut")).frame(1).join("test").exists());
+
+    let tested = metrics_of(&on_cpu("tested", 1, false), false).to_string();
+    assert!(tested.contains("\"views\":[{") && !tested.contains("training_views"), "{tested}");
+}
+
 /// What is begun is read before it is asked for, and not again; what may not be read ahead is read when it is asked for.
 #[test]
 fn the_next_frame_is_read_ahead() {
     let opened = Arc::default();
     let sample = request(Path::new("unused"), &[], 2, false).capture;
-    let capture = Counting { capture: open_capture(&sample).unwrap(), opened: Arc::clone(&opened) };
+    let capture = Counting::new(&sample, &opened);
     let views = [0, 2];
     let count = || opened.lock().unwrap().values().sum::<usize>();
     std::thread::scope(|scope| {
