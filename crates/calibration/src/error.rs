@@ -27,6 +27,14 @@ pub enum CalibrationError {
     /// A numpy file is damaged or has another shape.
     #[error(transparent)]
     Array(#[from] ArraysError),
+    /// What is to hold footage and calibration is no folder.
+    #[error("{}: {what}; a folder with the footage and its calibration is wanted", .path.display())]
+    NoFolder {
+        /// What was named.
+        path: PathBuf,
+        /// What it is instead.
+        what: &'static str,
+    },
     /// No format recognises the folder.
     #[error("{}: no calibration was recognised; looked for {looked_for}; there is {found}", .folder.display())]
     Unrecognised {
@@ -67,8 +75,10 @@ impl CalibrationError {
             }
             Self::Unrecognised { .. } => {
                 "name the folder that holds both the calibration and the pictures; a calibration of another program can be written as a \
-                 TOML (docs/footage.md)"
+                 TOML: a table per camera with size, matrix, distortions, rotation and translation, as in the example of docs/footage.md, A \
+                 calibration of your own"
             }
+            Self::NoFolder { .. } => "name the folder that holds both the calibration and the pictures",
             Self::NoSuchFormat { .. } => "choose one of them, or leave --format out",
         }
     }

@@ -73,6 +73,35 @@ impl Media {
         Some(Pictures::Video(video.clone()))
     }
 
+    /// Why [`Self::likely_of_camera`] found nothing for a camera, and what to do where it could not choose.
+    pub fn why_none(&self, names: &[String]) -> String {
+        const SHOWN: usize = 5;
+        let found = self.candidates(names);
+        let name = &names[0];
+        if found.is_empty() {
+            return format!("camera '{name}' has no video or folder called {}", names.join(", "));
+        }
+        let shown: Vec<String> = found.iter().take(SHOWN).map(|path| path.display().to_string()).collect();
+        let more = if found.len() > SHOWN { " and others" } else { "" };
+        format!(
+            "camera '{name}' may have any of {}{more}: rename the one with its footage to '{name}', or leave that one alone there",
+            shown.join(", ")
+        )
+    }
+
+    /// Videos and image folders in a folder of one of the names; without any, videos with one of the names among their words.
+    fn candidates(&self, names: &[String]) -> Vec<&Path> {
+        let below =
+            |path: &Path| path.parent().is_some_and(|folder| names.iter().any(|name| is_named(folder, name)));
+        let all = self.videos.iter().chain(self.folders.keys()).map(PathBuf::as_path);
+        let found: Vec<&Path> = all.filter(|path| below(path)).collect();
+        let with_word = |video: &&PathBuf| names.iter().any(|name| has_words(&stem(video), name));
+        match found.is_empty() {
+            true => self.videos.iter().filter(with_word).map(PathBuf::as_path).collect(),
+            false => found,
+        }
+    }
+
     /// Which pictures were taken, where several videos and folders go by a name of the camera.
     fn told_of_several(&self, names: &[String], taken: &Pictures) -> Option<String> {
         let goes_by = |called: &dyn Fn(&str) -> bool| names.iter().any(|name| called(name));

@@ -411,3 +411,90 @@ fn what_is_no_calibration_is_told() {
     let error = (format.read)(pictures.path(), &file).unwrap_err().to_string();
     assert!(error.contains("camera 'cam_0'") && error.contains("not finite"), "{error}");
 }
+
+#[test]
+fn what_is_no_folder_is_told() {
+    let place = folder(&["a.png"]);
+    for (name, what) in [("absent", "there is no such folder"), ("a.png", "this is a file")] {
+        let error = detect(&place.path().join(name), None).unwrap_err().to_string();
+        assert!(error.contains(what) && error.contains(name) && error.contains("a folder with"), "{error}");
+    }
+    let error = detect(place.path(), None).unwrap_err();
+    assert!(error.to_string().contains("no calibration was recognised"), "a folder is one");
+    assert!(error.fix().contains("matrix, distortions, rotation and translation"));
+}
+
+/// The example that docs/footage.md has for calibrations of other programs.
+fn documented() -> &'static str {
+    let (_, from) = include_str!("../../../docs/footage.md").split_once("```toml\n[cam1]").unwrap();
+    from.split_once("```").unwrap().0
+}
+
+#[test]
+fn the_example_of_the_documentation_is_read() {
+    let pictures = folder(&["cam1/1.png", "cam2/1.png"]);
+    write(&pictures, "calibration.toml", &format!("[cam1]{}", documented()));
+    let footage = read(pictures.path(), "toml");
+    let [one, two] = &footage.cameras[..] else { panic!("two cameras: {footage:?}") };
+    for (camera, centre) in [(one, DVec3::new(0.0, 0.0, -4.0)), (two, DVec3::new(4.0, 0.0, 0.0))] {
+        let pose = camera.poses[0];
+        assert!((pose.inverse().w_axis.truncate() - centre).length() < 1e-9, "{}", camera.name);
+        assert!((pose.transform_point3(DVec3::ZERO) - DVec3::new(0.0, 0.0, 4.0)).length() < 1e-9);
+        assert_eq!((camera.lens.size.width, camera.lens.intrinsics.cx), (1920, 960.0));
+        assert_ne!(camera.lens.distortion, Distortion::None);
+    }
+    assert!(footage.skipped.is_empty() && footage.assumed.is_empty(), "{footage:?}");
+}
+
+/// Cameras of the documentation's example after a change to the text of both.
+fn changed(from: &str, to: &str) -> Result<Footage, String> {
+    let pictures = folder(&["cam1/1.png", "cam2/1.png"]);
+    let text = format!("[cam1]{}", documented());
+    assert!(text.contains(from), "{from}");
+    write(&pictures, "calibration.toml", &text.replace(from, to));
+    let (format, file) = detect(pictures.path(), None).map_err(|error| error.to_string())?;
+    (format.read)(pictures.path(), &file).map_err(|error| error.to_string())
+}
+
+#[test]
+fn distortions_by_another_name_are_refused_and_missing_ones_told() {
+    for key in ["dist", "distortion", "Dist_Coeffs", "coefficients", "D"] {
+        let error = changed("distortions =", &format!("{key} =")).unwrap_err();
+        assert!(error.contains("camera 'cam1'") && error.contains(&format!("not as '{key}'")), "{error}");
+    }
+    let error = changed("distortions = [-0.1", "distortions = [\"a\"").unwrap_err();
+    assert!(error.contains("'distortions' is no list of numbers"), "{error}");
+    let footage =
+        changed("distortions =", "rotation_count = 0\nerror = 0.3\nverified = true\ngrid_count =").unwrap();
+    assert_eq!(footage.assumed, ["lenses without 'distortions' bend nothing: cameras 'cam1', 'cam2'"]);
+}
+
+#[test]
+fn a_table_that_lacks_what_makes_it_a_camera_is_named() {
+    let error = changed("matrix =", "K =").unwrap_err();
+    assert!(error.contains("calibration.toml: the table [cam1] has no 'matrix', only "), "{error}");
+    assert!(error.contains("[cam2]") && error.contains("translation"), "{error}");
+    let error = changed("translation =", "t =").unwrap_err();
+    assert!(error.contains("[cam1] has no 'translation'"), "{error}");
+    let pictures = folder(&["cam1/1.png"]);
+    write(&pictures, "pyproject.toml", "[tool.black]\nsize = 3\n");
+    let error = detect(pictures.path(), None).unwrap_err().to_string();
+    assert!(error.contains("no calibration was recognised"), "{error}");
+}
+
+/// As a public collection has it: `data/cam1/{video,background,checkerboard}.avi`.
+#[test]
+fn several_videos_in_a_cameras_folder_are_named() {
+    let pictures = folder(&["cam2/1.png"]);
+    write(&pictures, "calibration.toml", &format!("[cam1]{}", documented()));
+    for file in ["data/cam1/video.avi", "data/cam1/background.avi"] {
+        write(&pictures, file, "");
+    }
+    let footage = read(pictures.path(), "toml");
+    assert_eq!(footage.cameras.len(), 1);
+    let told = &footage.skipped[0];
+    assert!(told.contains("data/cam1/background.avi") && told.contains("data/cam1/video.avi"), "{told}");
+    assert!(told.contains("rename the one with its footage to 'cam1'"), "{told}");
+    fs::remove_file(pictures.path().join("data/cam1/background.avi")).unwrap();
+    assert_eq!(read(pictures.path(), "toml").cameras.len(), 2, "the only one is taken");
+}

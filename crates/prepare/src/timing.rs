@@ -46,6 +46,7 @@ pub(crate) fn schedule(
     let taken = schedule.frames.into_iter().skip(request.start).step_by(request.every.max(1));
     schedule.frames = taken.take(request.count.unwrap_or(usize::MAX)).collect();
     match request.count {
+        Some(0) => Err(PrepareError::Footage("--count 0 takes no frame: it is the number of frames".into())),
         _ if schedule.frames.is_empty() => {
             let reason =
                 format!("no frame is left: the cameras have {all} in common, --start is {}", request.start);
@@ -191,6 +192,8 @@ mod tests {
         let fails = |request: &Request| schedule(&cameras, None, request).unwrap_err().to_string();
         assert!(fails(&Request { start: 5, ..request() }).contains("5 in common"));
         assert!(fails(&Request { count: Some(6), ..request() }).contains("only 5"));
+        let none = fails(&Request { count: Some(0), ..request() });
+        assert!(none.contains("--count 0") && !none.contains("--start"), "{none}");
         assert!(fails(&Request { offsets: [("z".into(), 1)].into(), ..request() }).contains("a, b"));
     }
 

@@ -16,12 +16,61 @@ pub const FORMAT: Format = Format {
     read,
 };
 
+/// Keys that every camera's table needs.
+const NEEDED: [&str; 2] = ["matrix", "translation"];
+/// Keys of a camera's table: one that has two of them is meant for a camera.
+const TELLING: [&str; 5] = ["matrix", "distortions", "rotation", "translation", "size"];
+
 fn find(folder: &Path) -> Option<PathBuf> {
+    find_toml(folder, |table| !cameras(table).is_empty())
+}
+
+fn find_toml(folder: &Path, fits: impl Fn(&Table) -> bool) -> Option<PathBuf> {
     find_below(folder, &|path| {
-        let text = || read_text(path).unwrap_or_default();
-        path.extension().is_some_and(|e| e == "toml")
-            && !cameras(&text().parse().unwrap_or_default()).is_empty()
+        path.extension().is_some_and(|e| e == "toml") && fits(&parsed(path).unwrap_or_default())
     })
+}
+
+fn parsed(file: &Path) -> Result<Table, CalibrationError> {
+    let parsed = read_text(file)?.parse();
+    parsed.map_err(|e: toml::de::Error| CalibrationError::content(file, e.to_string()))
+}
+
+/// A TOML whose tables are meant for cameras but lack what makes them cameras, as the error that says what they lack.
+pub(super) fn almost_found(folder: &Path) -> Option<CalibrationError> {
+    let file = find_toml(folder, |table| !incomplete(table).is_empty())?;
+    let lacking = incomplete(&parsed(&file).ok()?);
+    Some(CalibrationError::content(&file, lacking.join("; ")))
+}
+
+/// What tables lack that are meant for cameras, one sentence each.
+fn incomplete(table: &Table) -> Vec<String> {
+    let mut found = Vec::new();
+    visit(table, "", &mut |name, inner| {
+        let lacks: Vec<String> =
+            NEEDED.iter().filter(|key| !inner.contains_key(**key)).map(|key| format!("'{key}'")).collect();
+        let meant = TELLING.iter().filter(|key| inner.contains_key(**key)).count() > 1;
+        if meant && !lacks.is_empty() {
+            let has: Vec<&str> = inner.keys().map(String::as_str).collect();
+            found.push(format!(
+                "the table [{name}] has no {}, only {}",
+                lacks.join(" and no "),
+                has.join(", ")
+            ));
+        }
+    });
+    found
+}
+
+/// All tables in a table, with their names as in the file.
+fn visit(table: &Table, within: &str, each: &mut dyn FnMut(&str, &Table)) {
+    for (name, value) in table {
+        if let Value::Table(inner) = value {
+            let name = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
+            each(&name, inner);
+            visit(inner, &name, each);
+        }
+    }
 }
 
 /// The tables that hold a camera, with the name of their section; caliscope nests them in `[cameras]`.
@@ -29,7 +78,7 @@ fn cameras(table: &Table) -> Vec<(&String, &Table)> {
     let mut found = Vec::new();
     for (name, value) in table {
         let Value::Table(inner) = value else { continue };
-        if inner.contains_key("matrix") && inner.contains_key("translation") {
+        if NEEDED.iter().all(|key| inner.contains_key(*key)) {
             found.push((name, inner));
         } else {
             found.extend(cameras(inner));
@@ -40,9 +89,10 @@ fn cameras(table: &Table) -> Vec<(&String, &Table)> {
 
 fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let fail = |reason: String| CalibrationError::content(file, reason);
-    let table: Table = read_text(file)?.parse().map_err(|e: toml::de::Error| fail(e.to_string()))?;
+    let table = parsed(file)?;
     let media = Media::find(folder)?;
-    let mut footage = Footage::default();
+    let mut footage = Footage { skipped: incomplete(&table), ..Footage::default() };
+    let mut straight = Vec::new();
     for (section, camera) in cameras(&table) {
         let names = names(section, camera);
         if camera.get("ignore").and_then(Value::as_bool) == Some(true) {
@@ -50,16 +100,19 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             continue;
         }
         let Some(pictures) = media.likely_of_camera(&names, &mut footage.assumed) else {
-            footage.skipped.push(format!(
-                "camera '{}' has no video or folder called {}",
-                names[0],
-                names.join(", ")
-            ));
+            footage.skipped.push(media.why_none(&names));
             continue;
         };
+        if !camera.contains_key(DISTORTIONS) {
+            straight.push(format!("'{}'", names[0]));
+        }
         let camera = source_camera(names[0].clone(), camera, pictures)
             .map_err(|reason| fail(format!("camera '{}': {reason}", names[0])))?;
         footage.cameras.push(checked(camera, file)?);
+    }
+    if !straight.is_empty() {
+        let cameras = straight.join(", ");
+        footage.assumed.push(format!("lenses without '{DISTORTIONS}' bend nothing: cameras {cameras}"));
     }
     let first = footage.cameras.first().map(|c| match &c.pictures {
         Pictures::Video(path) => path.clone(),
@@ -92,9 +145,31 @@ fn names(section: &str, camera: &Table) -> Vec<String> {
     names
 }
 
+const DISTORTIONS: &str = "distortions";
+
+/// The coefficients of the lens; none where the table says nothing of them.
+fn distortions(camera: &Table) -> Result<Vec<f64>, String> {
+    match camera.get(DISTORTIONS) {
+        Some(value) => flat(Some(value)).ok_or_else(|| format!("'{DISTORTIONS}' is no list of numbers")),
+        None => match camera.keys().find(|key| may_mean_distortions(key)) {
+            Some(key) => Err(format!(
+                "the lens's coefficients are wanted as '{DISTORTIONS}', not as '{key}': rename it"
+            )),
+            None => Ok(Vec::new()),
+        },
+    }
+}
+
+/// Without its distortion a lens would be taken for a straight one, and nothing would tell but the pictures.
+fn may_mean_distortions(key: &str) -> bool {
+    let key = key.to_lowercase();
+    let distance = key.contains("distance");
+    (key.contains("dist") && !distance) || key.contains("coef") || ["d", "k1"].contains(&key.as_str())
+}
+
 fn source_camera(name: String, camera: &Table, pictures: Pictures) -> Result<SourceCamera, String> {
     let k = rows(camera, "matrix").and_then(|r| square(&r)).ok_or("'matrix' is not 3x3")?;
-    let coefficients = flat(camera.get("distortions")).unwrap_or_default();
+    let coefficients = distortions(camera)?;
     let fisheye = camera.get("fisheye").and_then(Value::as_bool) == Some(true);
     let distortion =
         if fisheye { Distortion::fisheye(&coefficients)? } else { Distortion::opencv(&coefficients)? };

@@ -28,7 +28,7 @@ use glam::{DMat3, DMat4, DQuat, DVec3};
 use image::ImageReader;
 use std::cell::Cell;
 use std::fs;
-use std::io::BufReader;
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
 /// A format in which calibrations come.
@@ -51,8 +51,9 @@ pub const FORMATS: [Format; 8] =
 /// The format called `name`, or the first that recognises the folder, and its calibration file.
 ///
 /// # Errors
-/// When there is no such format, or no format finds its calibration.
+/// When there is no such folder or format, or no format finds its calibration.
 pub fn detect(folder: &Path, name: Option<&str>) -> Result<(Format, PathBuf), CalibrationError> {
+    require_folder(folder)?;
     let list = |text: fn(&Format) -> &str| FORMATS.iter().map(text).collect::<Vec<_>>().join(", ");
     let named = |f: &&Format| name.is_none_or(|name| f.name == name);
     let mut formats = FORMATS.iter().filter(named).peekable();
@@ -62,9 +63,24 @@ pub fn detect(folder: &Path, name: Option<&str>) -> Result<(Format, PathBuf), Ca
     }
     let mut found = formats.clone().filter_map(|f| Some((*f, (f.find)(folder)?)));
     found.next().ok_or_else(|| {
+        let of_toml = formats.clone().any(|f| f.name == TOML.name);
+        if let Some(almost) = of_toml.then(|| camera_toml::almost_found(folder)).flatten() {
+            return almost;
+        }
         let looked_for = formats.map(|f| f.looks_for).collect::<Vec<_>>().join(", ");
         CalibrationError::Unrecognised { folder: folder.to_owned(), looked_for, found: other_files(folder) }
     })
+}
+
+/// What cannot be listed would look like a folder without a calibration.
+fn require_folder(path: &Path) -> Result<(), CalibrationError> {
+    let no_folder = |what| CalibrationError::NoFolder { path: path.to_owned(), what };
+    match fs::read_dir(path) {
+        Ok(_) => Ok(()),
+        Err(_) if path.is_file() => Err(no_folder("this is a file")),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(no_folder("there is no such folder")),
+        Err(error) => Err(CalibrationError::io(path, error)),
+    }
 }
 
 /// Files that a message names.

@@ -69,7 +69,7 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let mut footage = Footage { metres_per_unit: Some(1.0), ..Footage::default() };
     for name in optics.keys().filter_map(|key| key.strip_prefix("K_")) {
         let Some(pictures) = media.likely_of_camera(&[name.to_owned()], &mut footage.assumed) else {
-            footage.skipped.push(format!("camera '{name}' has no video or image folder"));
+            footage.skipped.push(media.why_none(&[name.to_owned()]));
             continue;
         };
         let fail = |reason: String| CalibrationError::content(file, format!("camera '{name}': {reason}"));
