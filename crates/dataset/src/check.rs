@@ -222,7 +222,8 @@ fn check_splits(capture: &dyn Capture, report: &mut CheckReport) {
     }
     if capture.views(Split::Test).is_empty() {
         let file = capture.part(Part::Cameras(Split::Test));
-        report.notes.push(Note { file, text: "no test views: no quality is measured".into() });
+        let text = "no test views: quality is measured on views that are trained on, which look better than new places";
+        report.notes.push(Note { file, text: text.into() });
     }
 }
 
@@ -232,10 +233,12 @@ fn check_masks(capture: &dyn Capture, report: &mut CheckReport) {
     let empty: usize = train().map(|v| v.empty_masks).sum();
     let decoded: usize = train().map(|v| v.decoded_masks).sum();
     let file = capture.part(Part::Masks);
+    // A run looks at those of some frames before it starts.
+    let looked_at = if decoded < masks { "that was looked at " } else { "" };
     if decoded == empty && report.faults.is_empty() {
         let (what, fix) = match masks {
-            0 => ("no masks", "; `ffgs prepare CAPTURE --out NEW` makes some"),
-            _ => ("every training mask is empty", ""),
+            0 => ("no masks".to_owned(), "; `ffgs prepare CAPTURE --out NEW` makes some"),
+            _ => (format!("every training mask {looked_at}is empty"), ""),
         };
         let text = format!("{what}: nothing is marked as moving, the scene is taken for static{fix}");
         report.notes.push(Note { file, text });
@@ -260,7 +263,8 @@ fn check_masks(capture: &dyn Capture, report: &mut CheckReport) {
                 report.notes.push(Note { file, text });
             }
         } else if view.empty_masks > 0 {
-            let text = format!("{} of {} masks are empty", view.empty_masks, view.decoded_masks);
+            let of = if view.decoded_masks < view.masks { " that were looked at" } else { "" };
+            let text = format!("{} of {} masks{of} are empty", view.empty_masks, view.decoded_masks);
             report.notes.push(Note { file, text });
         }
     }

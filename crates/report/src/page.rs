@@ -30,6 +30,10 @@ struct Page<'a> {
     style: &'static str,
     script: &'static str,
     headlines: Vec<Headline>,
+    /// What the reader should know before the figures.
+    foremost: Vec<String>,
+    /// Warnings that only the list of all has.
+    more_warnings: usize,
     plots: Vec<String>,
     motion_plots: Vec<String>,
     timing: Vec<Row>,
@@ -69,6 +73,8 @@ fn render(input: &ReportInput) -> Result<String, ReportError> {
         style: STYLE,
         script: SCRIPT,
         headlines: headlines(input),
+        foremost: foremost(input),
+        more_warnings: input.warnings.len().saturating_sub(FOREMOST),
         plots: plots(input),
         motion_plots: motion_plots(&input.motion),
         timing: rows(&input.frames),
@@ -79,6 +85,20 @@ fn render(input: &ReportInput) -> Result<String, ReportError> {
     let mut environment = Environment::new();
     environment.add_template("report.html", TEMPLATE)?;
     Ok(environment.get_template("report.html")?.render(minijinja::value::Serde(&page))?)
+}
+
+/// Warnings above the figures; the first frame's come first, which are of the whole scene.
+const FOREMOST: usize = 3;
+
+/// That nothing moves, where that is so, and the first warnings.
+fn foremost(input: &ReportInput) -> Vec<String> {
+    let still = input.frames.len() > 1 && input.frames.iter().all(|frame| frame.dynamic_gaussians == 0);
+    let still = still.then(|| {
+        "No Gaussian moves in any frame: the scene was taken for static, as the masks mark nothing, or there are none. If something moves in it, \
+         look at the masks with `ffgs check CAPTURE --pictures DIR`, and make others."
+            .to_owned()
+    });
+    still.into_iter().chain(input.warnings.iter().take(FOREMOST).cloned()).collect()
 }
 
 /// A file of pictures as a block of data, which the script parses when they are shown.

@@ -21,6 +21,11 @@ function picturesOf(frame) {
   return frame.parsed;
 }
 
+function whyNone(frame) {
+  if (!frame.dynamic_gaussians) return "no Gaussian of it moves";
+  return state.frame ? "its masks are empty" : "nothing moves before the second frame";
+}
+
 function show() {
   const frame = frames[state.frame];
   const place = frame.views.findIndex((v) => v.name === names[state.view]);
@@ -37,6 +42,7 @@ function show() {
   const none = !pictures.motion && !pictures.uncertainty;
   at("pair").hidden = none;
   at("no-pair").hidden = !none;
+  at("no-pair").textContent = `This frame has no motion or uncertainty picture (${whyNone(frame)}).`;
   picture(at("motion"), pictures.motion);
   picture(at("uncertainty"), pictures.uncertainty);
 }

@@ -136,6 +136,30 @@ fn the_training_cameras_are_embedded_where_they_were_drawn() {
     assert_eq!(serde_json::from_value::<CameraPictures>(data).unwrap(), drawn);
 }
 
+/// What the reader should know stands before the figures; all of it stands at the end.
+#[test]
+fn warnings_and_a_scene_without_motion_are_told_before_the_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let mut input = run(folder.path());
+    let top = |input: &ReportInput| {
+        write_report(&path, input).unwrap();
+        let html = fs::read_to_string(&path).unwrap();
+        html.split_once("<section").unwrap().0.to_owned()
+    };
+    assert!(top(&input).contains("the scene was taken for static"));
+    input.frames[1].dynamic_gaussians = 5;
+    let moving = top(&input);
+    assert!(!moving.contains("taken for static") && !moving.contains("<ul"), "nothing to be told");
+    input.warnings = (0..5).map(|frame| format!("frame {frame}: few <cameras>")).collect();
+    let warned = top(&input);
+    assert!(warned.contains("frame 0: few &lt;cameras&gt;") && !warned.contains("frame 3"));
+    assert!(warned.contains("<a href=\"#warnings\">2 more</a>"));
+    let html = fs::read_to_string(&path).unwrap();
+    assert!(html.contains("<section id=\"warnings\">") && html.contains("frame 4: few"));
+    assert!(!html.contains("picture (nothing moves before the second frame)"), "the script says why");
+}
+
 #[test]
 fn what_was_assumed_of_the_footage_is_shown() {
     let folder = tempfile::tempdir().unwrap();
