@@ -84,8 +84,9 @@ impl Media {
         let shown: Vec<String> = found.iter().take(SHOWN).map(|path| path.display().to_string()).collect();
         let more = if found.len() > SHOWN { " and others" } else { "" };
         format!(
-            "camera '{name}' may have any of {}{more}: rename the one with its footage to '{name}', or leave that one alone there",
-            shown.join(", ")
+            "camera '{name}' may have any of {}{more}: rename the one with its footage to '{name}{}', or leave that one alone there",
+            shown.join(", "),
+            found[0].extension().map_or_else(String::new, |ending| format!(".{}", ending.display()))
         )
     }
 
@@ -96,10 +97,10 @@ impl Media {
         let all = self.videos.iter().chain(self.folders.keys()).map(PathBuf::as_path);
         let found: Vec<&Path> = all.filter(|path| below(path)).collect();
         let with_word = |video: &&PathBuf| names.iter().any(|name| has_words(&stem(video), name));
-        match found.is_empty() {
-            true => self.videos.iter().filter(with_word).map(PathBuf::as_path).collect(),
-            false => found,
+        if found.is_empty() {
+            return self.videos.iter().filter(with_word).map(PathBuf::as_path).collect();
         }
+        found
     }
 
     /// Which pictures were taken, where several videos and folders go by a name of the camera.

@@ -494,7 +494,7 @@ fn several_videos_in_a_cameras_folder_are_named() {
     assert_eq!(footage.cameras.len(), 1);
     let told = &footage.skipped[0];
     assert!(told.contains("data/cam1/background.avi") && told.contains("data/cam1/video.avi"), "{told}");
-    assert!(told.contains("rename the one with its footage to 'cam1'"), "{told}");
+    assert!(told.contains("rename the one with its footage to 'cam1.avi'"), "{told}");
     fs::remove_file(pictures.path().join("data/cam1/background.avi")).unwrap();
     assert_eq!(read(pictures.path(), "toml").cameras.len(), 2, "the only one is taken");
 }

@@ -156,7 +156,7 @@ fn headlines(input: &ReportInput) -> Vec<Headline> {
 
 /// Of which views a curve or a figure is, where that is not plain.
 fn of_views(input: &ReportInput) -> &'static str {
-    if input.trained_on { " of views that were trained on" } else { "" }
+    if input.trained_on { ", training views" } else { "" }
 }
 
 fn plots(input: &ReportInput) -> Vec<String> {

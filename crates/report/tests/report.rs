@@ -114,8 +114,8 @@ fn figures_of_training_views_are_called_so() {
     });
     write_report(&path, &input).unwrap();
     let html = fs::read_to_string(&path).unwrap();
-    assert!(html.contains("<small>PSNR of views that were trained on</small>"));
-    assert!(html.contains("aria-label=\"PSNR (dB) of views that were trained on\""));
+    assert!(html.contains("<small>PSNR, training views</small>"));
+    assert!(html.contains("aria-label=\"PSNR (dB), training views\""));
     assert!(html.contains("<h2>Views that were trained on (better than new places)</h2>"));
     assert!(html.contains("No camera of this capture is held out") && !html.contains("<h2>Test views"));
     assert!(!html.contains("PSNR per second"), "an efficiency is of test views");

@@ -43,7 +43,10 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let run = FinishedRun::open(&args.run)?;
     let (capture, folder) = (&*run.capture, &run.folder);
     if capture.views(Split::Test).is_empty() {
-        bail!("{} has no test views to measure", capture.root().display());
+        bail!(
+            "{} has no test views to measure; training_views in metrics.json are figures of views that were trained on",
+            capture.root().display()
+        );
     }
     let _lock = FolderLock::take(&args.run)?;
     let bar = progress(args.log.quiet, "frames", run.frames.len());

@@ -119,7 +119,7 @@ fn a_capture_without_test_views_is_measured_on_views_that_were_trained_on() {
     let mean = whole["mean_training_views"]["psnr"].as_f64().unwrap();
     assert!((mean - (of(0) + of(1) + of(2)) / 3.0).abs() < 1e-9 && whole["mean"]["psnr"].is_null());
     let report = std::fs::read_to_string(out("cut").join("report.html")).unwrap();
-    assert!(report.contains("aria-label=\"PSNR (dB) of views that were trained on\""));
+    assert!(report.contains("aria-label=\"PSNR (dB), training views\""));
     let pictures: FramePictures = read_json(&RunFolder(out("cut")).pictures(1)).unwrap();
     assert!(pictures.views.len() == 3 && !RunFolder(out("cut")).frame(1).join("test").exists());
 
