@@ -88,14 +88,13 @@ impl Step {
     pub(crate) fn version(self) -> u32 {
         match self {
             Self::Pictures => 0,
-            // Each of a few views asks the others for its mask (docs/adr/0097-each-of-a-few-views-asks-the-others.md); what stands and sways is
-            // found (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md).
-            Self::Masks => 2,
             // What is seen behind other things has points (docs/adr/0095-what-views-look-through-stands-behind.md).
             Self::Points => 1,
-            // Tracks have neighbours that agree (docs/adr/0091-tracks-need-neighbours-that-agree.md); masks have corners where texture is faint
+            // Each of a few views asks the others for its mask (docs/adr/0097-each-of-a-few-views-asks-the-others.md), and what stands and sways
+            // is found (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md). Tracks have neighbours that agree
+            // (docs/adr/0091-tracks-need-neighbours-that-agree.md), and corners in masks where texture is faint
             // (docs/adr/0098-in-masks-what-can-be-followed-is-a-corner.md).
-            Self::Tracks => 2,
+            Self::Masks | Self::Tracks => 2,
         }
     }
 }
