@@ -220,6 +220,16 @@ fn what_hardly_moves_has_fewer_holes() {
     assert!(overlap > 0.4, "{overlap}");
 }
 
+#[test]
+fn masks_that_hold_nothing_are_told() {
+    let summary = |places: [f64; 5]| {
+        let folder = footage_at(&places);
+        run(&Request { only: vec![Step::Pictures, Step::Masks], ..request(&folder) }).to_string()
+    };
+    assert!(summary([0.1; 5]).contains("ALL EMPTY"), "{}", summary([0.1; 5]));
+    assert!(!summary([-0.6, -0.3, 0.0, 0.3, 0.6]).contains("ALL EMPTY"));
+}
+
 /// Backgrounds are learnt from twenty frames; the masks of the others are as good.
 #[test]
 fn frames_of_which_nothing_is_learnt_have_masks() {
