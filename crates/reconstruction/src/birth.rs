@@ -40,6 +40,19 @@ impl Reconstructor<'_> {
     }
 }
 
+/// A layer of `before` Gaussians that has died must not do so in silence: masks that disagree have removed what moves, and nothing is born
+/// where they still do.
+pub(crate) fn warn_if_all_are_gone(before: usize, scene: &Scene, views: &[TrainingView], log: &mut StageLog) {
+    let held = views.iter().filter(|view| view.mask.count() > 0).count();
+    if before > 0 && scene.dynamic.gaussians.is_empty() && held > 0 {
+        log.warn(format!(
+            "nothing moves any more, though the masks of {held} of {} views hold something: there is no place that most of them hold. \
+             Compare the masks of the views, in masks.png where they were made, or by ffgs check --pictures",
+            views.len()
+        ));
+    }
+}
+
 /// Adds moving Gaussians where the masks of `views` are not explained; returns how many.
 fn add_newborn(
     devices: Devices,
@@ -197,6 +210,22 @@ mod tests {
         let after = open_pixels(&scene, &views);
         assert!(after * 5 < before, "{before} unexplained pixels, then {after}");
         assert_most_are_near_the_surface(&scene.dynamic.gaussians.positions()[old.len()..]);
+    }
+
+    #[test]
+    fn a_layer_that_dies_is_told_while_masks_hold_something() {
+        let (all, none) = (scene(&ball(Vec3::ZERO)), scene(&ball(Vec3::ZERO).select(&[])));
+        let views = photographs(&ball(Vec3::ZERO));
+        let told = |before: usize, scene: &Scene, views: &[TrainingView]| {
+            let mut log = StageLog::default();
+            warn_if_all_are_gone(before, scene, views, &mut log);
+            log.warnings.concat()
+        };
+        let hold = format!("masks of {0} of {0} views hold something", views.len());
+        assert!(told(9, &none, &views).contains(&hold), "{}", told(9, &none, &views));
+        assert_eq!(told(9, &all, &views), "", "some are left");
+        assert_eq!(told(0, &none, &views), "", "nothing moved before");
+        assert_eq!(told(9, &none, &without_masks(views)), "", "it has left");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 //!           -> dynamic, static and sky lane -> disocclusion -> learn information -> state of t
 //! ```
 
+use crate::birth::warn_if_all_are_gone;
 use crate::exposures::Exposures;
 use crate::first_training::{Earlier, FirstViews};
 use crate::knowledge::{Predicted, learn};
@@ -70,6 +71,7 @@ impl Reconstructor<'_> {
         }
         let keeps_stopped = self.config.marking.second_chance && self.method.births();
         let moving = keeps_stopped.then(|| Moving::of(&state.scene.dynamic));
+        let moved = state.scene.dynamic.gaussians.len();
         let before = std::mem::take(&mut state.views);
         let coarse = self.reduced(&state.scene, &now);
         let coarse_before = Reduced::new(&before, coarse.factor);
@@ -83,6 +85,7 @@ impl Reconstructor<'_> {
         predicted(&step, &state.scene, &state.exposures)?;
         if self.method.births() {
             self.add_newborn(frame, &mut state.scene, &coarse.views, log)?;
+            warn_if_all_are_gone(moved, &state.scene, &now, log);
         }
         let known = Predicted::new(&state.scene, &self.config.dynamic);
         let finetuning = self.method.finetune(&step, &mut state.scene, log);
