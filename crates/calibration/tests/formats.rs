@@ -464,9 +464,15 @@ fn distortions_by_another_name_are_refused_and_missing_ones_told() {
     }
     let error = changed("distortions = [-0.1", "distortions = [\"a\"").unwrap_err();
     assert!(error.contains("'distortions' is no list of numbers"), "{error}");
-    let footage =
-        changed("distortions =", "rotation_count = 0\nerror = 0.3\nverified = true\ngrid_count =").unwrap();
-    assert_eq!(footage.assumed, ["lenses without 'distortions' bend nothing: cameras 'cam1', 'cam2'"]);
+    let footage = changed(
+        "distortions =",
+        "rotation_count = 0\nerror = 0.3\nverified = true\nundistorted = true\ngrid_count =",
+    )
+    .unwrap();
+    assert_eq!(
+        footage.assumed,
+        ["cameras without 'distortions' are taken to have no lens distortion: 'cam1', 'cam2'"]
+    );
 }
 
 #[test]

@@ -240,7 +240,8 @@ fn check_masks(capture: &dyn Capture, report: &mut CheckReport) {
             0 => ("no masks".to_owned(), "; `ffgs prepare CAPTURE --out NEW` makes some"),
             _ => (format!("every training mask {looked_at}is empty"), ""),
         };
-        let text = format!("{what}: nothing is marked as moving, the scene is taken for static{fix}");
+        let others = if looked_at.is_empty() { "" } else { ", if the others are empty too" };
+        let text = format!("{what}: nothing is marked as moving, the scene is taken for static{others}{fix}");
         report.notes.push(Note { file, text });
     }
     if masks == 0 && !is_present(&capture.part(Part::Masks)) {

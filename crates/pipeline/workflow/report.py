@@ -21,8 +21,9 @@ svg polyline { fill: none; stroke-width: 1.6 } .key { display: inline-block; wid
 
 
 def means(metrics, key):
-    """(frame, mean over the views that have the figure)."""
-    values = ((f["frame"], [v[key] for v in f["views"] if v.get(key) is not None]) for f in metrics["frames"])
+    """(frame, mean over the views that have the figure), test views or, where there are none, some that were trained on."""
+    views = ((f["frame"], f["views"] or f.get("training_views", [])) for f in metrics["frames"])
+    values = ((frame, [v[key] for v in of if v.get(key) is not None]) for frame, of in views)
     return [(frame, sum(of) / len(of)) for frame, of in values if of]
 
 
@@ -89,7 +90,7 @@ def page(config):
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>fastflowgs: {len(rows)} runs</title>'
         f"<style>{STYLE}</style><h1>{len(rows)} runs</h1><table><tr>{head}</tr>{''.join(rows)}</table>"
-        f'<h2>Over frames</h2><p>Means over the test views. Dashed: seams.</p><div class="row">{plots}</div>'
+        f'<h2>Over frames</h2><p>Means over the test views; of captures without any, over views that were trained on. Dashed: seams.</p><div class="row">{plots}</div>'
         f'<h2>Last frames</h2><div class="row">{"".join(pictures)}</div></html>'
     )
 

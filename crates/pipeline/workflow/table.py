@@ -25,10 +25,12 @@ class Run:
         mean, frames = self.metrics["mean"], self.metrics["frames"]
         used = [frame["peak_memory_mib"] for frame in frames if frame.get("peak_memory_mib")]
         jumps = [abs(seam["mpsnr"][1] - seam["mpsnr"][0]) for seam in self.seams if None not in seam["mpsnr"]]
+        # Of a capture without test views: of views that were trained on.
+        quality = self.metrics.get("mean_training_views") or mean
         return [
-            str(len(frames)),
-            *(number(mean[key]) for key in ("psnr", "mpsnr")),
-            number(mean["ssim"], 4),
+            str(len(frames)) + (", training views" if quality is not mean else ""),
+            *(number(quality[key]) for key in ("psnr", "mpsnr")),
+            number(quality["ssim"], 4),
             number(mean["vmaf"]),
             number(mean["seconds_per_frame"]),
             number(max(used, default=None), 0),

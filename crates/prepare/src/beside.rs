@@ -22,16 +22,18 @@ pub(crate) struct Beside<'a> {
     /// Pictures of the empty scene by camera.
     clean_plates: BTreeMap<String, Pictures>,
     kept: PathBuf,
+    /// Pictures of the footage from one frame of the capture to the next.
+    every: usize,
 }
 
 impl<'a> Beside<'a> {
-    /// Looks for the clean plates of all cameras in a folder, where there is one. Pictures are kept in the folder `out`.
+    /// Looks for the clean plates of all cameras in the folder of the request, where there is one. Pictures are kept in its folder `out`.
     ///
     /// # Errors
     /// When the folder cannot be read or has none.
-    pub(crate) fn new(rig: &'a Rig, folder: Option<&Path>, out: &Path) -> Result<Self, PrepareError> {
+    pub(crate) fn new(rig: &'a Rig, request: &Request) -> Result<Self, PrepareError> {
         let mut clean_plates = BTreeMap::new();
-        if let Some(folder) = folder {
+        if let Some(folder) = request.clean_plates.as_deref() {
             let media = Media::find(folder)?;
             for camera in &rig.cameras {
                 let names = names(camera);
@@ -46,9 +48,9 @@ impl<'a> Beside<'a> {
                 return Err(PrepareError::CleanPlates { folder: folder.to_owned(), reason });
             }
         }
-        let kept = out.join(KEPT);
+        let kept = request.out.join(KEPT);
         remove(&kept)?;
-        Ok(Self { rig, clean_plates, kept })
+        Ok(Self { rig, clean_plates, kept, every: request.every })
     }
 
     /// Removes the pictures that were kept.
@@ -86,9 +88,10 @@ impl<'a> Beside<'a> {
         Sequence { pictures, count, rate }.spread(SAMPLES)?.into_iter().map(undistorted).collect()
     }
 
-    /// How many pictures a camera's footage has.
-    pub(crate) fn length(&self, camera: &str) -> usize {
-        self.camera(camera).map_or(0, |camera| camera.sequence.pictures)
+    /// How many times as long a camera's footage is as so many frames of it.
+    pub(crate) fn times_longer(&self, camera: &str, frames: usize) -> f64 {
+        let pictures = self.camera(camera).map_or(0, |camera| camera.sequence.pictures);
+        pictures as f64 / (frames * self.every) as f64
     }
 
     /// Pictures spread over the whole of a camera's footage, but for those of another size.

@@ -119,7 +119,7 @@ fn take(
         }),
         Step::Masks => {
             let rig = rig(footage, request)?;
-            let beside = Beside::new(&rig, request.clean_plates.as_deref(), &request.out)?;
+            let beside = Beside::new(&rig, request)?;
             let made = masks::make(&capture, &beside, progress)?;
             beside.discard()?;
             Ok(made)

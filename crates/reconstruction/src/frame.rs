@@ -66,12 +66,12 @@ impl Reconstructor<'_> {
         predicted: &mut dyn FnMut(&Step, &Scene, &Exposures) -> Result<()>,
     ) -> Result<State> {
         self.follow_light(frame, &mut state, &mut now, log)?;
+        let moved = state.scene.dynamic.gaussians.len();
         if self.config.marking.every_frame && self.method.births() {
             self.mark_again(&mut state, log)?;
         }
         let keeps_stopped = self.config.marking.second_chance && self.method.births();
         let moving = keeps_stopped.then(|| Moving::of(&state.scene.dynamic));
-        let moved = state.scene.dynamic.gaussians.len();
         let before = std::mem::take(&mut state.views);
         let coarse = self.reduced(&state.scene, &now);
         let coarse_before = Reduced::new(&before, coarse.factor);

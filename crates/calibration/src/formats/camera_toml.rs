@@ -112,7 +112,9 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     }
     if !straight.is_empty() {
         let cameras = straight.join(", ");
-        footage.assumed.push(format!("lenses without '{DISTORTIONS}' bend nothing: cameras {cameras}"));
+        footage
+            .assumed
+            .push(format!("cameras without '{DISTORTIONS}' are taken to have no lens distortion: {cameras}"));
     }
     let first = footage.cameras.first().map(|c| match &c.pictures {
         Pictures::Video(path) => path.clone(),
@@ -151,8 +153,8 @@ const DISTORTIONS: &str = "distortions";
 fn distortions(camera: &Table) -> Result<Vec<f64>, String> {
     match camera.get(DISTORTIONS) {
         Some(value) => flat(Some(value)).ok_or_else(|| format!("'{DISTORTIONS}' is no list of numbers")),
-        None => match camera.keys().find(|key| may_mean_distortions(key)) {
-            Some(key) => Err(format!(
+        None => match camera.iter().find(|(key, value)| may_mean_distortions(key, value)) {
+            Some((key, _)) => Err(format!(
                 "the lens's coefficients are wanted as '{DISTORTIONS}', not as '{key}': rename it"
             )),
             None => Ok(Vec::new()),
@@ -161,8 +163,11 @@ fn distortions(camera: &Table) -> Result<Vec<f64>, String> {
 }
 
 /// Without its distortion a lens would be taken for a straight one, and nothing would tell but the pictures.
-fn may_mean_distortions(key: &str) -> bool {
+fn may_mean_distortions(key: &str, value: &Value) -> bool {
     let key = key.to_lowercase();
+    if !(value.is_array() || key == "k1") {
+        return false;
+    }
     let distance = key.contains("distance");
     (key.contains("dist") && !distance) || key.contains("coef") || ["d", "k1"].contains(&key.as_str())
 }

@@ -91,7 +91,7 @@ fn frame_report(folder: &RunFolder, f: &FrameRecord) -> FrameReport {
     };
     FrameReport {
         index: f.frame,
-        views: f.views.iter().chain(&f.training_views).map(view).collect(),
+        views: f.measured().map(view).collect(),
         initial_mpsnr: f.initial_mpsnr,
         static_gaussians: f.static_gaussians,
         dynamic_gaussians: f.dynamic_gaussians,

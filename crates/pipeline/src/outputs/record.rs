@@ -79,6 +79,11 @@ pub struct FrameRecord {
 }
 
 impl FrameRecord {
+    /// The views that measure the frame: test views, or training views where there are none.
+    pub(crate) fn measured(&self) -> impl Iterator<Item = &ViewMetrics> {
+        self.views.iter().chain(&self.training_views)
+    }
+
     /// Reads the frame's numbers, which must be of this frame and of cameras that the capture has: their names become
     /// paths.
     ///

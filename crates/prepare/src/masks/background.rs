@@ -18,7 +18,7 @@ const LEAST_SHARE: f32 = 0.35;
 const NEAR: f32 = 25.0;
 /// Standard deviation (grey levels) of a background that no sample shows.
 const UNSEEN_SPREAD: f32 = 4.0;
-/// A channel of at least this value (0 to 255) is clipped: the scene may be as much brighter as it likes.
+/// A channel of at least this value (0 to 255) is clipped: the scene may be brighter than it tells.
 const CLIPPED: u8 = 250;
 /// Pixels of a picture that tell its exposure, and what differs in it.
 const ENOUGH_PIXELS: usize = 4000;
@@ -31,8 +31,8 @@ pub(crate) struct Background {
     pub colour: Vec<[f32; 3]>,
     /// Standard deviation of the samples (grey levels).
     pub spread: Vec<f32>,
-    /// From here on a channel of the colour may have been clipped in samples.
-    pub clipped: [f32; 3],
+    /// The channels that were clipped in samples of this colour.
+    pub clipped: Vec<[bool; 3]>,
 }
 
 impl Background {
@@ -57,8 +57,7 @@ impl Background {
             let hidden = samples.free(i).next().is_none();
             (colour[i], spread[i]) = likeliest(&samples.at(i), hidden, expected);
         }
-        let least_gain = |c: usize| samples.gains.iter().map(|gain| gain[c]).fold(1.0, f32::min);
-        let clipped = std::array::from_fn(|c| f32::from(CLIPPED) * least_gain(c));
+        let clipped = (0..size.pixels()).into_par_iter().map(|i| samples.clipped(i, &colour[i])).collect();
         Self { size, colour, spread, clipped }
     }
 
@@ -67,7 +66,7 @@ impl Background {
     pub(crate) fn difference(&self, image: &ImageRgb8, gain: [f32; 3], i: usize) -> f32 {
         let (here, there) = (colour(image, gain, i), self.colour[i]);
         let clipped = |c: usize| {
-            if here[c] < there[c] { image.data()[i * 3 + c] >= CLIPPED } else { there[c] >= self.clipped[c] }
+            if here[c] < there[c] { image.data()[i * 3 + c] >= CLIPPED } else { self.clipped[i][c] }
         };
         (0..3).filter(|&c| !clipped(c)).map(|c| (here[c] - there[c]).abs()).fold(0.0, f32::max)
     }
@@ -109,6 +108,12 @@ impl Samples<'_> {
     fn at(&self, i: usize) -> Vec<[f32; 3]> {
         let free: Vec<[f32; 3]> = self.free(i).map(|s| self.colour(s, i)).collect();
         if free.is_empty() { (0..self.images.len()).map(|s| self.colour(s, i)).collect() } else { free }
+    }
+
+    /// The channels of a pixel that are clipped in a sample of about this colour.
+    fn clipped(&self, i: usize, colour: &[f32; 3]) -> [bool; 3] {
+        let is = |s: usize, c: usize| self.images[s].data()[i * 3 + c] >= CLIPPED;
+        std::array::from_fn(|c| (0..self.images.len()).any(|s| is(s, c) && same(&self.colour(s, i), colour)))
     }
 
     /// The median, per channel, of what pixel `j` has more than `i` in the samples that show both (Weiss 2001).
@@ -288,6 +293,19 @@ mod tests {
         );
         let dark = picture_of(|i| if i == 3 { 150 } else { (light(i) * 0.9).min(255.0) as u8 });
         assert!(worst(&dark) > 60.0, "something dark before the wall: {}", worst(&dark));
+    }
+
+    /// One picture of ten is twice as bright: what is brighter than a grey wall still differs from it.
+    #[test]
+    fn a_flash_hides_nothing_bright() {
+        let wall = |i: usize| 60.0 + 3.0 * (i % 32) as f32;
+        let shown = |exposure: f32| picture_of(|i| (wall(i) * exposure).min(255.0) as u8);
+        let mut images = vec![shown(1.0); 9];
+        images.push(shown(2.0));
+        let background = Background::learn(&images, &[]);
+        let shirt = picture_of(|i| if i == 31 { 230 } else { wall(i) as u8 });
+        let difference = background.difference(&shirt, background.gain(&shirt), 31);
+        assert!(difference > 50.0, "{difference}");
     }
 
     #[test]

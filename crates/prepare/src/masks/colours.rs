@@ -134,7 +134,12 @@ mod tests {
 
     fn background() -> Background {
         let colour = vec![ROAD.map(f32::from); SIZE.pixels()];
-        Background { size: SIZE, colour, spread: vec![2.0; SIZE.pixels()], clipped: [250.0; 3] }
+        Background {
+            size: SIZE,
+            colour,
+            spread: vec![2.0; SIZE.pixels()],
+            clipped: vec![[false; 3]; SIZE.pixels()],
+        }
     }
 
     fn votes(mask: &Mask) -> Vec<f32> {

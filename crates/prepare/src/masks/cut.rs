@@ -218,7 +218,7 @@ mod tests {
             size: SIZE,
             colour: (0..SIZE.pixels()).map(|i| [wall(i); 3]).collect(),
             spread: vec![2.0; SIZE.pixels()],
-            clipped: [250.0; 3],
+            clipped: vec![[false; 3]; SIZE.pixels()],
         };
         let grey = |i: usize| if in_disc(i, 12.0) { 200 } else { wall(i) as u8 };
         let image = ImageRgb8::new(SIZE, (0..SIZE.pixels()).flat_map(|i| [grey(i); 3]).collect()).unwrap();

@@ -57,7 +57,7 @@ pub(crate) fn scores(raw: &[f32], never_bare: &Mask) -> Vec<f32> {
 }
 
 /// The background's colour with less light.
-fn is_shadow(here: [f32; 3], there: [f32; 3]) -> bool {
+pub(crate) fn is_shadow(here: [f32; 3], there: [f32; 3]) -> bool {
     let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let light = dot(here, there) / dot(there, there).max(1.0);
     let residual = (0..3).map(|c| (here[c] - light * there[c]).abs()).fold(0.0, f32::max);
@@ -89,7 +89,12 @@ mod tests {
     /// Of one colour.
     fn background(size: ImageSize, colour: [f32; 3]) -> Background {
         let pixels = size.pixels();
-        Background { size, colour: vec![colour; pixels], spread: vec![1.5; pixels], clipped: [250.0; 3] }
+        Background {
+            size,
+            colour: vec![colour; pixels],
+            spread: vec![1.5; pixels],
+            clipped: vec![[false; 3]; pixels],
+        }
     }
 
     #[test]

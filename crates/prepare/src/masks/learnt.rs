@@ -24,13 +24,13 @@ pub(super) struct Learnt {
 }
 
 impl Learnt {
-    /// What was `never_bare` before still is.
+    /// What was `never_bare` before, and is in the masks for that, has to be found again.
     fn new(seen: &Seen, never_bare: Option<&Mask>) -> Self {
-        let mut never_bare = never_bare.cloned().unwrap_or_else(|| Mask::filled(seen.size(), false));
-        let mut background = seen.background(&never_bare);
-        let enclosed = enclosed(&background, &seen.frames, &seen.masks);
-        if enclosed.count() > 0 {
-            never_bare = either(&never_bare, &enclosed);
+        let before = never_bare.cloned().unwrap_or_else(|| Mask::filled(seen.size(), false));
+        let mut background = seen.background(&before);
+        let masks: Vec<Mask> = seen.masks.iter().map(|mask| without(mask, &before)).collect();
+        let never_bare = enclosed(&background, &seen.frames, &masks);
+        if never_bare != before {
             background = seen.background(&never_bare);
         }
         let levels = difference::levels(&background, &seen.frames, &seen.masks);
@@ -39,6 +39,9 @@ impl Learnt {
     }
 }
 
+/// What is never bare in more than half of the footage is not in the rest of it either, as far as anyone knows.
+const TWICE: f64 = 2.0;
+
 /// Pictures of a camera.
 struct Seen {
     /// Frames of the capture, with the masks that were made before, or none.
@@ -46,7 +49,7 @@ struct Seen {
     masks: Vec<Mask>,
     /// Pictures of all of its footage, or of the empty scene.
     footage: Vec<ImageRgb8>,
-    /// How many pictures the footage has for one that the capture has.
+    /// How many times as long the footage is as the part of it that is the capture.
     longer: f64,
 }
 
@@ -60,16 +63,21 @@ impl Seen {
     fn background(&self, never_bare: &Mask) -> Background {
         let chosen = chosen(self.frames.len(), self.footage.len(), self.longer);
         let covered = |mask: &Mask| either(&mask.dilated(regions::radius(mask.size())), never_bare);
-        let masks: Vec<Mask> = chosen.iter().filter_map(|&i| self.masks.get(i)).map(covered).collect();
+        let mut masks: Vec<Mask> = chosen.iter().filter_map(|&i| self.masks.get(i)).map(covered).collect();
+        if !masks.is_empty() && self.longer < TWICE {
+            masks.extend(self.footage.iter().map(|_| never_bare.clone()));
+        }
         let frames = chosen.iter().map(|&i| &self.frames[i]);
         Background::learn(&frames.chain(&self.footage).collect::<Vec<_>>(), &masks)
     }
 }
 
-/// So many of the `frames`, spread over them, as belong beside `footage` that is so many times longer; half as many as of that at least.
+/// So many of the `frames`, spread over them, as belong beside `footage` that is so many times longer; half as many as of that at least, and
+/// enough of them to tell what stands still.
 fn chosen(frames: usize, footage: usize, longer: f64) -> Vec<usize> {
-    let fair = if longer > 1.0 { (footage as f64 / (longer - 1.0)).ceil() as usize } else { frames };
-    let count = fair.max(footage / 2).min(frames);
+    let fair = footage as f64 / (longer - 1.0).max(0.0);
+    let fair = if footage > 0 && fair.is_finite() { fair.ceil() as usize } else { frames };
+    let count = fair.max(footage / 2).max(LEAST_FRAMES).min(frames);
     (0..count).map(|i| (2 * i + 1) * frames / (2 * count)).collect()
 }
 
@@ -77,6 +85,12 @@ fn chosen(frames: usize, footage: usize, longer: f64) -> Vec<usize> {
 fn either(a: &Mask, b: &Mask) -> Mask {
     let data = a.data().iter().zip(b.data()).map(|(a, b)| a | b);
     Mask::new(a.size(), data.collect()).expect("masks of one camera have one size")
+}
+
+/// What a mask covers and another one does not.
+fn without(mask: &Mask, other: &Mask) -> Mask {
+    let data = mask.data().iter().zip(other.data()).map(|(a, b)| a & (1 - b));
+    Mask::new(mask.size(), data.collect()).expect("masks of one camera have one size")
 }
 
 /// What the round before has left: the folder of its masks, and what it knew of the camera.
@@ -113,7 +127,7 @@ pub(super) fn learn(
             masks.push(read_mask(&before.folder.join(file_name(&view.name, frame)))?);
         }
     }
-    let longer = beside.length(&view.name) as f64 / capture.frames() as f64;
+    let longer = beside.times_longer(&view.name, capture.frames());
     let seen = Seen { frames, masks, footage: beside.footage(&view.name)?, longer };
     let never_bare = before.and_then(|before| before.learnt).map(|learnt| &learnt.never_bare);
     Ok(Some(Learnt::new(&seen, never_bare)))
@@ -128,7 +142,12 @@ mod tests {
         assert_eq!(chosen(20, 16, 1.0).len(), 20, "the capture is all of its footage");
         assert_eq!(chosen(20, 16, 2.0).len(), 16, "half of it: as many as of the rest");
         assert_eq!(chosen(20, 16, 8.0).len(), 8, "an eighth");
-        assert_eq!(chosen(20, 0, 1.0).len(), 20, "no footage");
+        assert_eq!(
+            [chosen(20, 0, 1.0).len(), chosen(20, 0, 8.0).len()],
+            [20; 2],
+            "no footage that can be read"
+        );
+        assert_eq!(chosen(20, 1, 20.0).len(), LEAST_FRAMES, "hardly any");
         assert_eq!(chosen(8, 8, 1e3), [1, 3, 5, 7]);
     }
 

@@ -24,6 +24,12 @@ use ffgs_report::FramePictures;
 /// # Errors
 /// When the run or its capture cannot be read, a result cannot be written, or ffmpeg fails.
 pub(crate) fn eval(args: &EvalArgs) -> Result<()> {
+    if FinishedRun::open(&args.run)?.capture.views(Split::Test).is_empty() {
+        terminal::print(
+            "the capture has no test views to measure: mean_training_views in metrics.json is of views that were trained on",
+        );
+        return Ok(());
+    }
     let (metrics, no_vmaf) = measure(args)?;
     let reason = no_vmaf.map(|reason| format!("no VMAF: {reason}\n")).unwrap_or_default();
     terminal::print((table(&metrics.frames) + &costs(&metrics.mean) + &reason).trim_end());

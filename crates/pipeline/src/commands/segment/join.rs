@@ -27,7 +27,7 @@ const TOLD: f64 = 0.3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Seam {
     frame: usize,
-    /// Mean over the test views (dB): as the part before ends with the frame, and as the next begins with it.
+    /// Mean over the test views, or else the training views that measure the frame (dB): as the part before ends with the frame, and as the next begins with it.
     psnr: [Option<f64>; 2],
     mpsnr: [Option<f64>; 2],
     /// Gaussians of the moving layer that keep an id from the first frame, take one of a neighbour, or get a new one.
@@ -40,8 +40,8 @@ impl Seam {
     fn of(frame: usize, ends: [&FrameRecord; 2], Counts { kept, matched, new }: Counts) -> Self {
         Self {
             frame,
-            psnr: ends.map(|record| mean(record.views.iter().map(|v| v.psnr))),
-            mpsnr: ends.map(|record| mean(record.views.iter().filter_map(|v| v.mpsnr))),
+            psnr: ends.map(|record| mean(record.measured().map(|v| v.psnr))),
+            mpsnr: ends.map(|record| mean(record.measured().filter_map(|v| v.mpsnr))),
             ids_kept: kept,
             ids_matched: matched,
             ids_new: new,
