@@ -43,6 +43,21 @@ fn scene(seed: u64) -> Scene {
     Scene { previous, truth, estimates }
 }
 
+/// What is fused of a first frame: there is no memory of others.
+fn input<'a>(scene: &'a Scene, prior_covariances: &'a [DMat3]) -> FusionInput<'a> {
+    FusionInput {
+        prior_means: &scene.previous,
+        prior_covariances,
+        estimates: &scene.estimates,
+        previous_steps: None,
+        groups: None,
+        last_q: 0.0,
+        q_floor_m: 0.0,
+        observed: None,
+        flexibility: None,
+    }
+}
+
 fn tracker(before: &[DVec3], truth: &[DVec3], rng: &mut ChaCha8Rng) -> Estimates {
     let (bias, wave, phase) = (normal3(rng) * 0.04, normal3(rng) * 3.0, rng.random_range(0.0..6.0));
     let mut out = Estimates::default();
@@ -59,19 +74,7 @@ fn tracker(before: &[DVec3], truth: &[DVec3], rng: &mut ChaCha8Rng) -> Estimates
 fn evaluate(scene: &Scene, config: FusionConfig) -> [f64; 4] {
     let prior_covariances =
         vec![DMat3::from_diagonal(DVec3::splat(PRIOR_SIGMA * PRIOR_SIGMA)); scene.truth.len()];
-    let fused = InformationFuser { config }
-        .fuse(&FusionInput {
-            prior_means: &scene.previous,
-            prior_covariances: &prior_covariances,
-            estimates: &scene.estimates,
-            previous_steps: None,
-            groups: None,
-            last_q: 0.0,
-            q_floor_m: 0.0,
-            observed: None,
-            flexibility: None,
-        })
-        .unwrap();
+    let fused = InformationFuser { config }.fuse(&input(scene, &prior_covariances)).unwrap();
     let part = PER_CAR - 20..PER_CAR;
     let error = |i: &usize| fused.means[*i] - scene.truth[*i];
     let median = |indices: Vec<usize>| {
@@ -165,17 +168,7 @@ fn units_do_not_matter() {
 fn what_trackers_say_of_a_lost_group_does_not_count() {
     let scene = scene(3);
     let prior = vec![DMat3::from_diagonal(DVec3::splat(PRIOR_SIGMA * PRIOR_SIGMA)); scene.truth.len()];
-    let input = FusionInput {
-        prior_means: &scene.previous,
-        prior_covariances: &prior,
-        estimates: &scene.estimates,
-        previous_steps: None,
-        groups: None,
-        last_q: 0.0,
-        q_floor_m: 0.0,
-        observed: None,
-        flexibility: None,
-    };
+    let input = input(&scene, &prior);
     let fuser = InformationFuser::default();
     // The second car's motion is another one than its trackers say. Share of its Gaussians that follow it, and of the first car's.
     let followers = |lost: bool| {

@@ -179,10 +179,10 @@ pub(crate) fn add_other_views(votes: &mut [f32], possible: &Mask, confirmed: &Ma
     }
 }
 
-/// What is `never_bare` is foreground where other views find it possible.
-pub(crate) fn cover(votes: &mut [f32], never_bare: &Mask, possible: &Mask) {
+/// What is `always_covered` is foreground where other views find it possible.
+pub(crate) fn cover(votes: &mut [f32], always_covered: &Mask, possible: &Mask) {
     for (i, vote) in votes.iter_mut().enumerate() {
-        if never_bare.data()[i] == 1 && possible.data()[i] == 1 {
+        if always_covered.data()[i] == 1 && possible.data()[i] == 1 {
             *vote = vote.max(MOST);
         }
     }
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_never_bare_is_foreground_unless_other_views_deny_it() {
+    fn what_is_always_covered_is_foreground_unless_other_views_deny_it() {
         let mut votes = vec![-1.0; 4];
         cover(&mut votes, &mask(&[0, 1, 1, 0]), &mask(&[0, 0, 1, 1]));
         assert_eq!(votes, [-1.0, -1.0, MOST, -1.0]);

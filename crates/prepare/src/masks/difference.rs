@@ -50,10 +50,10 @@ pub(crate) fn raw(image: &ImageRgb8, background: &Background, levels: f32) -> Ve
     (0..background.size.pixels()).map(score).collect()
 }
 
-/// Cut off above, where a pixel is `never_bare` the highest, and smoothed over 3 x 3 pixels.
-pub(crate) fn scores(raw: &[f32], never_bare: &Mask) -> Vec<f32> {
+/// Cut off above, where a pixel is `always_covered` the highest, and smoothed over 3 x 3 pixels.
+pub(crate) fn scores(raw: &[f32], always_covered: &Mask) -> Vec<f32> {
     let score = |(raw, covered): (&f32, &u8)| if *covered == 1 { HIGHEST } else { raw.min(HIGHEST) };
-    smoothed(&raw.iter().zip(never_bare.data()).map(score).collect::<Vec<_>>(), never_bare.size())
+    smoothed(&raw.iter().zip(always_covered.data()).map(score).collect::<Vec<_>>(), always_covered.size())
 }
 
 /// The background's colour with less light.

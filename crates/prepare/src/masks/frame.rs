@@ -45,7 +45,7 @@ pub(super) fn masks_of(
         .map(|((_, image), learnt)| learnt.as_ref().map(|l| difference::raw(image, &l.background, l.levels)))
         .collect();
     let scores: Vec<Option<Vec<f32>>> = (raw.par_iter().zip(learnt))
-        .map(|(raw, learnt)| Some(difference::scores(raw.as_ref()?, &learnt.as_ref()?.never_bare)))
+        .map(|(raw, learnt)| Some(difference::scores(raw.as_ref()?, &learnt.as_ref()?.always_covered)))
         .collect();
     let silhouettes: Vec<Silhouette> = loaded
         .iter()
@@ -57,7 +57,8 @@ pub(super) fn masks_of(
         .collect();
     let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
     let refined = |(v, agreed): (usize, &Agreed)| {
-        let (Some(raw), Some(Learnt { background, colours, never_bare, .. })) = (&raw[v], &learnt[v]) else {
+        let (Some(raw), Some(Learnt { background, colours, always_covered, .. })) = (&raw[v], &learnt[v])
+        else {
             return agreed.mask.clone();
         };
         let image = &loaded[v].1;
@@ -66,7 +67,7 @@ pub(super) fn masks_of(
             colours.weigh(&mut votes, image, background, &agreed.mask);
         }
         cut::add_other_views(&mut votes, &agreed.possible, &agreed.confirmed);
-        cut::cover(&mut votes, never_bare, &agreed.possible);
+        cut::cover(&mut votes, always_covered, &agreed.possible);
         let cut = cut::cheapest(&votes, image, background, &agreed.mask);
         // What colours alone have found is another thing of the same colour.
         let found = touched_by(&cut, |i| agreed.mask.data()[i] == 1);

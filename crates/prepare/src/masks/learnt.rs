@@ -20,26 +20,26 @@ pub(super) struct Learnt {
     /// Those of the masks that were made before, and of what is around them.
     pub colours: Option<Colours>,
     /// What something covers in every frame, unless other views deny it.
-    pub never_bare: Mask,
+    pub always_covered: Mask,
 }
 
 impl Learnt {
-    /// What was `never_bare` before, and is in the masks for that, has to be found again.
-    fn new(seen: &Seen, never_bare: Option<&Mask>) -> Self {
-        let before = never_bare.cloned().unwrap_or_else(|| Mask::filled(seen.size(), false));
+    /// What was `always_covered` before, and is in the masks for that, has to be found again.
+    fn new(seen: &Seen, always_covered: Option<&Mask>) -> Self {
+        let before = always_covered.cloned().unwrap_or_else(|| Mask::filled(seen.size(), false));
         let mut background = seen.background(&before);
         let masks: Vec<Mask> = seen.masks.iter().map(|mask| without(mask, &before)).collect();
-        let never_bare = enclosed(&background, &seen.frames, &masks);
-        if never_bare != before {
-            background = seen.background(&never_bare);
+        let always_covered = enclosed(&background, &seen.frames, &masks);
+        if always_covered != before {
+            background = seen.background(&always_covered);
         }
         let levels = difference::levels(&background, &seen.frames, &seen.masks);
         let colours = Colours::learn(&background, &seen.frames, &seen.masks);
-        Self { background, levels, colours, never_bare }
+        Self { background, levels, colours, always_covered }
     }
 }
 
-/// What is never bare in more than half of the footage is not in the rest of it either, as far as anyone knows.
+/// A pixel that is always covered in a part of the footage counts as covered in the rest of it too, unless the footage is so many times longer.
 const TWICE: f64 = 2.0;
 
 /// Pictures of a camera.
@@ -58,14 +58,14 @@ impl Seen {
         self.frames.first().or(self.footage.first()).expect("a camera has pictures").size()
     }
 
-    /// What they show where no mask covers it and nothing is `never_bare`. Who stands still in a short part of the footage is not its
+    /// What they show where no mask covers it and nothing is `always_covered`. Who stands still in a short part of the footage is not its
     /// background, so that the frames of that part do not outnumber the rest by more than the part is longer.
-    fn background(&self, never_bare: &Mask) -> Background {
+    fn background(&self, always_covered: &Mask) -> Background {
         let chosen = chosen(self.frames.len(), self.footage.len(), self.longer);
-        let covered = |mask: &Mask| either(&mask.dilated(regions::radius(mask.size())), never_bare);
+        let covered = |mask: &Mask| either(&mask.dilated(regions::radius(mask.size())), always_covered);
         let mut masks: Vec<Mask> = chosen.iter().filter_map(|&i| self.masks.get(i)).map(covered).collect();
         if !masks.is_empty() && self.longer < TWICE {
-            masks.extend(self.footage.iter().map(|_| never_bare.clone()));
+            masks.extend(self.footage.iter().map(|_| always_covered.clone()));
         }
         let frames = chosen.iter().map(|&i| &self.frames[i]);
         Background::learn(&frames.chain(&self.footage).collect::<Vec<_>>(), &masks)
@@ -129,8 +129,8 @@ pub(super) fn learn(
     }
     let longer = beside.times_longer(&view.name, capture.frames());
     let seen = Seen { frames, masks, footage: beside.footage(&view.name)?, longer };
-    let never_bare = before.and_then(|before| before.learnt).map(|learnt| &learnt.never_bare);
-    Ok(Some(Learnt::new(&seen, never_bare)))
+    let always_covered = before.and_then(|before| before.learnt).map(|learnt| &learnt.always_covered);
+    Ok(Some(Learnt::new(&seen, always_covered)))
 }
 
 #[cfg(test)]
