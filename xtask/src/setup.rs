@@ -16,14 +16,20 @@ enum Probe {
     Program(&'static str),
     /// A file with this ending in this folder.
     FileIn(&'static str, &'static str),
+    /// A module of Python.
+    Module(&'static str),
 }
 
 /// Everything beyond the Rust toolchain. Rust needs a C compiler as its linker driver.
 const REQUIREMENTS: [Requirement; 1] =
     [Requirement { probe: Probe::Program("cc"), package: "build-essential" }];
 
-/// The GPU tests run on software Vulkan where there is no GPU, and those of the videos make some. A run needs neither.
-const TEST_REQUIREMENTS: [Requirement; 2] = [
+/// The GPU tests run on software Vulkan where there is no GPU, those of the videos make some, and those of interruptions
+/// send signals. The tools of the checks come in virtual environments, for which Debian's Python lacks a part. A run needs none of them.
+const TEST_REQUIREMENTS: [Requirement; 5] = [
+    Requirement { probe: Probe::Program("git"), package: "git" },
+    Requirement { probe: Probe::Program("kill"), package: "procps" },
+    Requirement { probe: Probe::Module("ensurepip"), package: "python3-venv" },
     Requirement { probe: Probe::FileIn("/usr/share/vulkan/icd.d", "json"), package: "mesa-vulkan-drivers" },
     Requirement { probe: Probe::Program("ffmpeg"), package: "ffmpeg" },
 ];
@@ -62,6 +68,7 @@ fn is_present(probe: &Probe) -> bool {
         Probe::Program(program) => place_of(program).is_some(),
         Probe::FileIn(folder, ending) => std::fs::read_dir(folder)
             .is_ok_and(|files| files.flatten().any(|f| f.path().extension().is_some_and(|e| e == *ending))),
+        Probe::Module(module) => succeeds("python3", &["-c", &format!("import {module}")]),
     }
 }
 

@@ -69,7 +69,17 @@ impl Media {
             |name: &String| self.only_video(|video| video.parent().is_some_and(|p| is_named(p, name)));
         let with_word = |name: &String| self.only_video(|video| has_words(&stem(video), name));
         let video = names.iter().find_map(in_folder).or_else(|| names.iter().find_map(with_word))?;
-        assumed.push(format!("{} is the video of camera '{}'", video.display(), names[0]));
+        let beside = self.videos.iter().filter(|v| v.parent() == video.parent() && shows_something_else(v));
+        let others: Vec<String> = beside.map(|v| file_name(v)).collect();
+        let told = if others.is_empty() {
+            String::new()
+        } else {
+            let others = others.join(", ");
+            format!(
+                "; {others} beside it is passed over for its name (--clean-plates takes pictures of the empty scene)"
+            )
+        };
+        assumed.push(format!("{} is the video of camera '{}'{told}", video.display(), names[0]));
         Some(Pictures::Video(video.clone()))
     }
 
@@ -138,10 +148,14 @@ impl Media {
         found.next().is_none().then_some(first)
     }
 
+    /// The only video that fits, or the only one of these that is footage by its name.
     fn only_video(&self, fits: impl Fn(&Path) -> bool) -> Option<&PathBuf> {
-        let mut fitting = self.videos.iter().filter(|video| fits(video));
-        let first = fitting.next()?;
-        fitting.next().is_none().then_some(first)
+        let all: Vec<&PathBuf> = self.videos.iter().filter(|video| fits(video)).collect();
+        let named: Vec<&PathBuf> = all.iter().copied().filter(|video| !shows_something_else(video)).collect();
+        match (all.as_slice(), named.as_slice()) {
+            ([only], _) | (_, [only]) => Some(only),
+            _ => None,
+        }
     }
 
     /// The single image that is called by one of `names`.
@@ -203,6 +217,19 @@ pub(crate) fn is_picture(path: &Path) -> bool {
 /// The ending of a file's name, in lower case.
 fn ending(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
+}
+
+/// Whether a video was made to calibrate the camera or shows the empty scene, by its name.
+fn shows_something_else(video: &Path) -> bool {
+    const BEGINNINGS: [&str; 9] =
+        ["calib", "intrinsic", "extrinsic", "checker", "chess", "charuco", "background", "empty", "clean"];
+    let name = stem(video).to_lowercase();
+    name.split(|c: char| !c.is_alphanumeric())
+        .any(|word| BEGINNINGS.iter().any(|with| word.starts_with(with)))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// The file name without folder and ending.
@@ -330,6 +357,23 @@ mod tests {
         assert_eq!([of("C"), of("02"), of("vid")], [None, None, None], "two, a number, a part of a word");
         assert_eq!([of("23087"), of("2308")], [video(files[6]), None], "a serial number of Qualisys");
         assert!(assumed.len() == 4 && assumed[1].contains("vid01-camA.mp4"), "{assumed:?}");
+    }
+
+    #[test]
+    fn videos_of_something_else_are_told_by_their_names() {
+        let others = ["cam1/background.avi", "cam1/checkerboard.avi", "cam1/intrinsics.avi"];
+        let (folder, media) = laid_out(
+            &[&others[..], &["cam1/video.avi", "cam2/a.avi", "cam2/b.avi", "cam3/empty.avi"]].concat(),
+        );
+        let mut assumed = Vec::new();
+        let mut of = |name: &str| media.likely_of_camera(&[name.to_owned()], &mut assumed);
+        let video = |file: &str| Some(Pictures::Video(folder.path().join(file)));
+        assert_eq!([of("cam1"), of("cam2")], [video("cam1/video.avi"), None], "two that are footage");
+        assert_eq!(of("cam3"), video("cam3/empty.avi"), "the only one");
+        assert!(
+            assumed[0].contains("background.avi, checkerboard.avi, intrinsics.avi beside it"),
+            "{assumed:?}"
+        );
     }
 
     /// Pose2Sim's calibrations call `cam_01` what its videos call `cam01`.

@@ -1,74 +1,12 @@
 //! One rig, written by hand in every format, must come back the same.
 
+mod rig;
+
 use ffgs_arrays::NpzWriter;
-use ffgs_calibration::{ColouredPoint, Distortion, Footage, Pictures, SourceCamera, detect};
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use ffgs_calibration::{ColouredPoint, Distortion, Footage, Pictures, detect};
+use glam::{DMat3, DMat4, DVec3};
+use rig::*;
 use std::fs;
-use std::path::Path;
-use tempfile::TempDir;
-
-const WIDTH: u32 = 64;
-const HEIGHT: u32 = 48;
-const K: [f64; 4] = [70.0, 72.0, 33.5, 22.25];
-const BROWN: [f64; 5] = [-0.11, 0.02, 0.001, -0.002, 0.003];
-
-/// Two cameras two metres from the origin, a quarter turn about the vertical (y down) apart.
-fn poses() -> [DMat4; 2] {
-    [0.2, 0.2 + std::f64::consts::FRAC_PI_2].map(|angle: f64| {
-        let rotation = DMat3::from_rotation_x(0.1) * DMat3::from_rotation_y(angle);
-        let mut pose = DMat4::from_mat3(rotation);
-        pose.w_axis = DVec3::new(0.1, -0.2, 2.0).extend(1.0);
-        pose
-    })
-}
-
-fn folder(files: &[&str]) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    for file in files {
-        let path = folder.path().join(file);
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        image::RgbImage::new(WIDTH, HEIGHT).save(path).unwrap();
-    }
-    folder
-}
-
-fn write(folder: &TempDir, name: &str, text: &str) {
-    let path = folder.path().join(name);
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    fs::write(path, text).unwrap();
-}
-
-fn read(folder: &Path, format: &str) -> Footage {
-    let (found, file) = detect(folder, None).unwrap();
-    assert_eq!(found.name, format);
-    (found.read)(folder, &file).unwrap()
-}
-
-/// Compares with the rig; pixels to a thousandth, wherever the format counts them from.
-fn assert_rig(cameras: &[SourceCamera], distorted: bool) {
-    assert_eq!(cameras.len(), 2);
-    let brown = if distorted { Distortion::opencv(&BROWN).unwrap() } else { Distortion::None };
-    for (camera, pose) in cameras.iter().zip(poses()) {
-        for point in [DVec3::new(0.1, 0.2, -0.1), DVec3::new(-0.3, 0.1, 0.2)] {
-            let to = |pose: &DMat4| {
-                let p = pose.transform_point3(point);
-                DVec2::new(p.x / p.z, p.y / p.z)
-            };
-            let bent = brown.distort(to(&pose));
-            let wanted = DVec2::new(K[0] * bent.x + K[2], K[1] * bent.y + K[3]);
-            let found = camera.lens.pixel(to(&camera.poses[0]));
-            assert!((found - wanted).length() < 1e-3, "{}: {found}, wanted {wanted}", camera.name);
-            assert!((camera.poses[0].transform_point3(point) - pose.transform_point3(point)).length() < 1e-6);
-        }
-        assert_eq!((camera.lens.size.width, camera.lens.size.height), (WIDTH as usize, HEIGHT as usize));
-    }
-}
-
-fn rows(m: DMat3) -> String {
-    let r = m.transpose();
-    let row = |v: DVec3| format!("[{}, {}, {}]", v.x, v.y, v.z);
-    format!("[{}, {}, {}]", row(r.x_axis), row(r.y_axis), row(r.z_axis))
-}
 
 /// The camera matrix of OpenCV's convention: the first pixel's centre is 0.
 fn opencv_matrix() -> String {
@@ -493,14 +431,14 @@ fn a_table_that_lacks_what_makes_it_a_camera_is_named() {
 fn several_videos_in_a_cameras_folder_are_named() {
     let pictures = folder(&["cam2/1.png"]);
     write(&pictures, "calibration.toml", &format!("[cam1]{}", documented()));
-    for file in ["data/cam1/video.avi", "data/cam1/background.avi"] {
+    for file in ["data/cam1/first.avi", "data/cam1/second.avi", "data/cam1/background.avi"] {
         write(&pictures, file, "");
     }
     let footage = read(pictures.path(), "toml");
     assert_eq!(footage.cameras.len(), 1);
     let told = &footage.skipped[0];
-    assert!(told.contains("data/cam1/background.avi") && told.contains("data/cam1/video.avi"), "{told}");
+    assert!(told.contains("data/cam1/first.avi") && told.contains("data/cam1/second.avi"), "{told}");
     assert!(told.contains("rename the one with its footage to 'cam1.avi'"), "{told}");
-    fs::remove_file(pictures.path().join("data/cam1/background.avi")).unwrap();
-    assert_eq!(read(pictures.path(), "toml").cameras.len(), 2, "the only one is taken");
+    fs::remove_file(pictures.path().join("data/cam1/second.avi")).unwrap();
+    assert_eq!(read(pictures.path(), "toml").cameras.len(), 2, "the only footage is taken");
 }

@@ -34,7 +34,7 @@ pub use input_file::{is_present, open_input, read_bytes, read_text, refuse_link}
 pub use instructions::{NoSuchInstructions, check_instructions, instruction_set, instructions};
 pub use mask::Mask;
 pub use motion::{DenseMotion, TrackSet, TrackerLevel, ViewMotion};
-pub use scene::{Aside, Dynamic, Knowledge, Scene};
+pub use scene::{Aside, Dynamic, Knowledge, Scene, TRANSPARENT};
 pub use sky_cube::SkyCube;
 pub use spatial_order::spatial_order;
 pub use stage_log::{Seconds, StageLog};

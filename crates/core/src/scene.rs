@@ -24,7 +24,7 @@ pub struct Scene {
 }
 
 /// Opacity logit of a Gaussian that is covered: far below the opacity with which a splat is drawn.
-const TRANSPARENT: f32 = -10.0;
+pub const TRANSPARENT: f32 = -10.0;
 
 /// Gaussians of a layer, put aside while others stand in their places.
 #[derive(Clone, Debug, Default, PartialEq)]

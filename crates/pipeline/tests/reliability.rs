@@ -71,6 +71,19 @@ fn endless(out: &Path, more: &[&str]) -> Command {
     command
 }
 
+/// A run that ends with the test, also where that fails.
+#[cfg(unix)]
+struct Running(std::process::Child);
+
+#[cfg(unix)]
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It has ended before in a test that succeeds.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// What an error printed.
 fn refused(command: &mut Command) -> String {
     let Output { status, stderr, .. } = command.output().unwrap();
@@ -238,7 +251,8 @@ fn a_signal_ends_a_run_with_a_sentence_and_its_own_status() {
     let log = folder.path().join("log");
     let out = folder.path().join("out");
     let mut command = endless(&out, &[]);
-    let mut child = command.stderr(File::create(&log).unwrap()).spawn().unwrap();
+    let mut running = Running(command.stderr(File::create(&log).unwrap()).spawn().unwrap());
+    let child = &mut running.0;
     while !out.join("run.json").exists() {
         assert!(child.try_wait().unwrap().is_none(), "{}", fs::read_to_string(&log).unwrap());
         std::thread::sleep(std::time::Duration::from_millis(20));

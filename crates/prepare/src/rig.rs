@@ -3,7 +3,7 @@
 use crate::timing::Sequence;
 use crate::{PrepareError, Request, TestCameras, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
-use ffgs_core::ImageSize;
+use ffgs_core::{Camera, ImageSize};
 use glam::{DMat4, DVec3};
 
 /// A camera as the capture will have it.
@@ -113,7 +113,11 @@ impl Rig {
     fn lens_for(&mut self, source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareError> {
         let lens = source.lens;
         if lens.size.pixels() == 0 {
-            return Ok(Lens { size: found, ..lens });
+            let pinhole = Camera::new(lens.intrinsics, DMat4::IDENTITY, found);
+            let fault =
+                pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
+            let told = |fault| PrepareError::Footage(format!("camera '{}': {fault}", source.name));
+            return fault.map_or(Ok(Lens { size: found, ..lens }), |fault| Err(told(fault)));
         }
         let (x, y) =
             (found.width as f64 / lens.size.width as f64, found.height as f64 / lens.size.height as f64);

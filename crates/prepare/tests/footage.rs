@@ -505,6 +505,49 @@ fn videos_are_read_frame_by_frame() {
     assert!(broken.contains("cam_5.mkv"), "{broken}");
 }
 
+/// Calibrations of OpenCV seldom tell the size of the pictures: it is that of the videos.
+#[test]
+fn opencv_calibrations_of_videos_have_their_size() {
+    let folder = footage(0, FRAMES);
+    fs::remove_file(folder.path().join("calibration.toml")).unwrap();
+    let calibrate = |i: usize, cx: f64| {
+        let camera = camera(i);
+        let Intrinsics { fx, fy, cy, .. } = camera.intrinsics();
+        let numbers = |name: &str, values: &[f64]| {
+            let words: Vec<String> = values.iter().map(f64::to_string).collect();
+            format!("<{name} type_id=\"opencv-matrix\"><data>{}</data></{name}>", words.join(" "))
+        };
+        let pose = camera.camera_from_world();
+        let all = [
+            numbers("CameraMatrix", &[fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]),
+            numbers("RotationMatrix", &DMat3::from_mat4(pose).transpose().to_cols_array()),
+            numbers("TranslationVector", &pose.w_axis.truncate().to_array()),
+        ];
+        let text = format!("<?xml version=\"1.0\"?><opencv_storage>{}</opencv_storage>", all.concat());
+        fs::write(folder.path().join(format!("cam_{i}/config.xml")), text).unwrap();
+    };
+    for i in 0..CAMERAS {
+        let home = folder.path().join(format!("cam_{i}"));
+        encode(&home, &folder.path().join("video.mkv"));
+        fs::remove_dir_all(&home).unwrap();
+        fs::create_dir(&home).unwrap();
+        fs::rename(folder.path().join("video.mkv"), home.join("video.mkv")).unwrap();
+        fs::write(home.join("background.mkv"), b"not looked at").unwrap();
+        calibrate(i, 64.0);
+    }
+    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
+    let summary = run(&request).to_string();
+    assert!(summary.contains("6 videos") && summary.contains("background.mkv beside it"), "{summary}");
+    let capture = Capture::open(&request.out).unwrap();
+    let found = capture.camera(Split::Train, 1, 0).unwrap();
+    assert_eq!(found.size(), SIZE);
+    assert!((found.center() - camera(1).center()).length() < 1e-6);
+    assert!((found.intrinsics().cx - 64.0).abs() < 0.01, "{:?}", found.intrinsics());
+    calibrate(2, 300.0);
+    let stray = error(&Request { out: folder.path().join("other"), ..request });
+    assert!(stray.contains("'cam_2'") && stray.contains("128 x 96"), "{stray}");
+}
+
 /// Without loss, in RGB.
 fn encode(pictures: &Path, video: &Path) {
     let mut ffmpeg = Command::new("ffmpeg");

@@ -1,8 +1,8 @@
 //! What moving things hide in the first frame: the surfaces around them, continued behind them (docs/adr/0093-surfaces-continue-behind-what-moves.md).
 
 use crate::disocclusion::hidden;
-use crate::marking::HIDDEN_BELOW;
-use crate::outside::shown_weights;
+
+use crate::outside::{HIDDEN_BELOW, shown_weights};
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, ImageSize, Mask, Scene, StageLog, TrainingView, connected, stage};

@@ -1,6 +1,6 @@
 //! Which Gaussians move: those inside the masks (Algorithm 1, line 2).
 
-use crate::outside::{is_outside, shown_weights};
+use crate::outside::{HIDDEN_BELOW, is_outside, looking_at, shown_weights};
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
 use ffgs_core::{
@@ -33,9 +33,6 @@ impl Reconstructor<'_> {
     }
 }
 
-/// Weights of its pixels, summed over all views of the first frame, below which a Gaussian is hidden in them.
-pub(crate) const HIDDEN_BELOW: f32 = 1.0;
-
 /// The trained Gaussians as layers: those inside the masks of all that was trained on (`training`) move, unless the photographs show them outside. Of the first
 /// `standing`, which stood still before, those stay that no photograph shows. `views` are those that later frames have: they say how large a pixel is where a
 /// Gaussian lies.
@@ -49,10 +46,11 @@ pub(crate) fn split(
     views: &[TrainingView],
     training: &[TrainingView],
 ) -> Result<Scene> {
-    let mut moving = silhouettes(marking, training)?.hold(&all.positions())?;
+    let places = all.positions();
+    let mut moving = silhouettes(marking, training)?.hold(&places)?;
     for (i, weights) in shown_weights(marking, all, training).into_iter().enumerate() {
         let stays = i < standing && weights[1] < HIDDEN_BELOW;
-        moving[i] &= !stays && !is_outside(marking, weights);
+        moving[i] &= !stays && !is_outside(marking, weights, || looking_at(places[i], training));
     }
     // Training left what it added at the end; all later frames keep this order.
     let order = spatial_order(&all.means);

@@ -3,7 +3,11 @@
 use ffgs_core::{Gaussians, TrainingView};
 use ffgs_motion::MarkingConfig;
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, RenderTape, View};
+use glam::DVec3;
 use rayon::prelude::*;
+
+/// Weights of its pixels, summed over all views of the first frame, below which a Gaussian is hidden in them.
+pub(crate) const HIDDEN_BELOW: f32 = 1.0;
 
 /// Per Gaussian the sums of its weights `alpha T` over the pixels of all views, `[inside their masks, all]`; masks are widened by `marking.dilation`.
 pub(crate) fn shown_weights(
@@ -28,9 +32,20 @@ pub(crate) fn shown_weights(
 }
 
 /// Whether less than `marking.shown_share` of what a Gaussian colours lies in the masks. A kerb behind a car lies in the masks of the cameras that the car hides it
-/// from; those show nothing of it. What no view shows is not judged.
-pub(crate) fn is_outside(marking: &MarkingConfig, [inside, all]: [f32; 2]) -> bool {
-    inside < marking.shown_share * all
+/// from; those show nothing of it. What no view shows is outside where `looking`, the number of views that look there, is one: that a single mask covers a place says
+/// nothing of how far away what moves is. It is not judged elsewhere.
+pub(crate) fn is_outside(
+    marking: &MarkingConfig,
+    [inside, all]: [f32; 2],
+    looking: impl Fn() -> usize,
+) -> bool {
+    let on_chance = || marking.shown_share > 0.0 && all < HIDDEN_BELOW && looking() < 2;
+    inside < marking.shown_share * all || on_chance()
+}
+
+/// How many of the views have a place in their image.
+pub(crate) fn looking_at(place: DVec3, views: &[TrainingView]) -> usize {
+    views.iter().filter(|view| view.camera.pixel_of(place).is_some()).count()
 }
 
 #[cfg(test)]
@@ -52,12 +67,18 @@ mod tests {
         let marking = MarkingConfig::default();
         let outside = |marking: &MarkingConfig, gaussians: &Gaussians, views: &[TrainingView]| {
             let weights = shown_weights(marking, gaussians, views);
-            weights.iter().map(|&weights| is_outside(marking, weights)).collect::<Vec<_>>()
+            let places = gaussians.positions();
+            let of = |(&weights, &place)| is_outside(marking, weights, || looking_at(place, views));
+            weights.iter().zip(&places).map(of).collect::<Vec<_>>()
         };
         let found = outside(&marking, &all, &views);
         assert!(found[last], "in the mask of the first camera, which does not show it");
         assert!(found[..last].iter().all(|outside| !outside), "the body itself");
-        assert!(!outside(&marking, &all, &views[..1])[last], "nobody shows it: not judged");
+        let behind = |views: &[TrainingView]| outside(&marking, &all, views)[last];
+        assert!(behind(&views[..1]), "nobody shows it, and one camera alone looks there");
+        let beside = [views[0].clone(), views[0].clone()];
+        assert!(!behind(&beside), "nobody shows it: not judged by two that look there");
+        assert!(outside(&marking, &all, &beside)[..last].iter().any(|outside| !outside), "the body");
         let off = MarkingConfig { shown_share: 0.0, ..marking };
         assert!(outside(&off, &all, &views).iter().all(|outside| !outside));
         assert!(outside(&marking, &body, &without_masks(views)).iter().any(|outside| *outside), "no masks");

@@ -1,7 +1,7 @@
 //! Floaters: faint Gaussians in mid-air. Each contributes a little to photographs that show something far behind it; from another viewpoint,
 //! together they look like a veil (docs/adr/0087-floaters-are-removed.md).
 
-use ffgs_core::{Camera, Gaussians, SH_C0, TrainingView, sigmoid};
+use ffgs_core::{Camera, Gaussians, PixelFilter, SH_C0, TRANSPARENT, TrainingView, logit, sigmoid};
 use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderTape, View};
 use glam::DVec3;
 
@@ -9,6 +9,8 @@ use glam::DVec3;
 const FAR_BEHIND: f32 = 0.5;
 /// Transmittance from which a pixel shows the sky, whose distance says nothing.
 const SKY: f32 = 0.5;
+/// Opacity of Gaussians that hide nothing of each other.
+const FAINT: f32 = 0.01;
 /// Larger views are reduced: distances need no more pixels than these.
 const PIXELS: usize = 512 * 512;
 /// Nor more views than these, evenly among all.
@@ -17,7 +19,7 @@ const VIEWS: usize = 64;
 /// Which Gaussians of `layer` float, (N): those less opaque than `opaque` where the views show, on average, something much farther away.
 pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -> Vec<bool> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let behind = depths_behind(layer, &cameras);
+    let behind = depths_behind(&[layer], &cameras);
     let faint = |i: usize| sigmoid(layer.opacity_logits[i]) < opaque;
     let floats: Vec<bool> = (0..layer.len()).map(|i| faint(i) && behind[i] > FAR_BEHIND).collect();
     tracing::debug!("{} of {} Gaussians float", floats.iter().filter(|&&f| f).count(), layer.len());
@@ -25,16 +27,16 @@ pub(crate) fn floaters(layer: &Gaussians, opaque: f32, views: &[TrainingView]) -
 }
 
 /// Natural logarithm of the depth that a pixel shows over the depth of the Gaussian: its mean over the pixels to which the Gaussian contributes,
-/// weighted by how much it contributes, (N). 0 where no camera shows the Gaussian in front of something else than the sky.
-pub fn depths_behind(layer: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
+/// weighted by how much it contributes, (N) of all layers in turn. 0 where no camera shows the Gaussian in front of something else than the sky.
+pub fn depths_behind(layers: &[&Gaussians], cameras: &[Camera]) -> Vec<f32> {
     let rasterizer = CpuRasterizer::default();
     let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
-    let (mut farther, mut weights) = (vec![0.0_f32; layer.len()], vec![0.0_f32; layer.len()]);
-    let mut painted = uncoloured(layer);
+    let mut painted = uncoloured(layers);
+    let (mut farther, mut weights) = (vec![0.0_f32; painted.len()], vec![0.0_f32; painted.len()]);
     for camera in cameras.iter().step_by(cameras.len().div_ceil(VIEWS).max(1)) {
         let camera = reduced(camera);
         let frame = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
-        let depths = log_depths(layer, &camera);
+        let depths = log_depths(&painted.means, &camera);
         painted.sh.iter_mut().zip(&depths).for_each(|(sh, depth)| *sh = [(depth - 0.5) / SH_C0; 3]);
         rasterizer.render(&painted, &frame, &mut tape);
         let [solid, shown] = shown(&tape);
@@ -48,6 +50,30 @@ pub fn depths_behind(layer: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
     farther.iter().zip(&weights).map(|(sum, weight)| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
+/// As [`depths_behind`], in one view and in front of what shows without all the Gaussians `of` (indices of all layers in turn), one value for each of these:
+/// they do not hide each other, nor what lies behind them.
+pub fn depths_without(layers: &[&Gaussians], of: &[usize], camera: &Camera) -> Vec<f32> {
+    let rasterizer = CpuRasterizer::default();
+    let (mut tape, mut sums) = (RenderTape::default(), FootprintSums::default());
+    let mut painted = uncoloured(layers);
+    let camera = reduced(camera);
+    let frame = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
+    let depths = log_depths(&painted.means, &camera);
+    painted.sh.iter_mut().zip(&depths).for_each(|(sh, depth)| *sh = [(depth - 0.5) / SH_C0; 3]);
+    let mut faint = painted.select(of);
+    faint.opacity_logits.fill(logit(FAINT));
+    of.iter().for_each(|&i| painted.opacity_logits[i] = TRANSPARENT);
+    rasterizer.render(&painted, &frame, &mut tape);
+    let [solid, shown] = shown(&tape);
+    rasterizer.render(&faint, &frame, &mut tape);
+    rasterizer.accumulate(&faint, &frame, &[&solid, &shown], &mut tape, &mut sums);
+    let behind = |(i, &of): (usize, &usize)| {
+        let [weight, shown] = [0, 1].map(|channel| sums.of(i)[channel]);
+        if weight > 0.0 { shown / weight - depths[of] } else { 0.0 }
+    };
+    of.iter().enumerate().map(behind).collect()
+}
+
 /// Per pixel of a rendered picture of values: whether it shows something else than the sky, and the mean value of that.
 fn shown(tape: &RenderTape) -> [Vec<f32>; 2] {
     let through = tape.transmittance();
@@ -56,13 +82,20 @@ fn shown(tape: &RenderTape) -> [Vec<f32>; 2] {
     [(0..through.len()).map(solid).collect(), (0..through.len()).map(value).collect()]
 }
 
-/// The shapes and opacities of a layer, with one colour a Gaussian.
-fn uncoloured(layer: &Gaussians) -> Gaussians {
-    let mut out = Gaussians::zeros(layer.len(), 0).with_filter(layer.filter);
-    out.means.clone_from(&layer.means);
-    out.quats.clone_from(&layer.quats);
-    out.log_scales.clone_from(&layer.log_scales);
-    out.opacity_logits.clone_from(&layer.opacity_logits);
+/// The shapes and opacities of all layers in turn, with one colour a Gaussian.
+fn uncoloured(layers: &[&Gaussians]) -> Gaussians {
+    let count = layers.iter().map(|layer| layer.len()).sum();
+    let filter = layers.first().map_or_else(PixelFilter::default, |layer| layer.filter);
+    let mut out = Gaussians::zeros(count, 0).with_filter(filter);
+    let mut start = 0;
+    for layer in layers {
+        let place = start..start + layer.len();
+        start = place.end;
+        out.means[place.clone()].copy_from_slice(&layer.means);
+        out.quats[place.clone()].copy_from_slice(&layer.quats);
+        out.log_scales[place.clone()].copy_from_slice(&layer.log_scales);
+        out.opacity_logits[place].copy_from_slice(&layer.opacity_logits);
+    }
     out
 }
 
@@ -72,9 +105,9 @@ fn reduced(camera: &Camera) -> Camera {
 }
 
 /// Natural logarithms of the depths in units of the least, so that none is negative, (N); 0 behind the camera.
-fn log_depths(layer: &Gaussians, camera: &Camera) -> Vec<f32> {
+fn log_depths(means: &[[f32; 3]], camera: &Camera) -> Vec<f32> {
     let depth = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).map_or(0.0, |p| p.depth);
-    let depths: Vec<f64> = layer.means.iter().map(depth).collect();
+    let depths: Vec<f64> = means.iter().map(depth).collect();
     let least = depths.iter().copied().filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
     depths.iter().map(|&d| if d > 0.0 { (d / least).ln() as f32 } else { 0.0 }).collect()
 }

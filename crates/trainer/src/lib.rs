@@ -49,7 +49,7 @@ pub use disocclusion::{Disoccluded, DisocclusionConfig, train_disoccluded};
 pub use dynamic_lane::{DynamicLaneConfig, Surroundings, train_dynamic};
 pub use exposures::estimate_exposures;
 pub use first_frame::{Equalise, FirstFrame, FirstFrameConfig, FirstFrameTask, train_first_frame};
-pub use floaters::depths_behind;
+pub use floaters::{depths_behind, depths_without};
 pub use gain::{Gain, PixelNoise, information_gain};
 pub use initialise::{INITIAL_OPACITY, from_points};
 pub use layer_lane::train_layer;

@@ -6,7 +6,9 @@ mod colmap_binary;
 mod colmap_model;
 mod colmap_text;
 mod dynamic3dgs;
-mod opencv_yaml;
+mod easyvolcap;
+mod file_storage;
+mod opencv;
 mod panoptic;
 mod point_ply;
 mod poses_bounds;
@@ -15,14 +17,15 @@ mod transforms;
 
 pub use camera_toml::FORMAT as TOML;
 pub use colmap::FORMAT as COLMAP;
-pub use opencv_yaml::FORMAT as EASYVOLCAP;
+pub use easyvolcap::FORMAT as EASYVOLCAP;
+pub use opencv::FORMAT as OPENCV;
 pub use panoptic::FORMAT as PANOPTIC;
 pub use poses_bounds::FORMAT as N3DV;
 pub use qualisys::FORMAT as QUALISYS;
 pub use transforms::FORMAT as TRANSFORMS;
 
 use crate::media::{is_footage, is_picture, natural_order};
-use crate::{CalibrationError, Footage, SourceCamera};
+use crate::{CalibrationError, Footage, Pictures, SourceCamera};
 use ffgs_core::{Camera, ImageSize, Intrinsics, open_input};
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use image::ImageReader;
@@ -45,8 +48,8 @@ pub struct Format {
 }
 
 /// All formats, in the order in which they are tried.
-pub const FORMATS: [Format; 8] =
-    [dynamic3dgs::FORMAT, PANOPTIC, N3DV, TRANSFORMS, EASYVOLCAP, TOML, QUALISYS, COLMAP];
+pub const FORMATS: [Format; 9] =
+    [dynamic3dgs::FORMAT, PANOPTIC, N3DV, TRANSFORMS, EASYVOLCAP, TOML, QUALISYS, COLMAP, OPENCV];
 
 /// The format called `name`, or the first that recognises the folder, and its calibration file.
 ///
@@ -111,20 +114,24 @@ fn other_files(folder: &Path) -> String {
 /// How far below the footage's folder a calibration is looked for.
 const DEPTH: usize = 3;
 
+/// What lies in `folder`, then what lies in its folders, and so on, in natural order.
+fn levels(folder: &Path) -> impl Iterator<Item = Vec<PathBuf>> {
+    let within = |folders: &[PathBuf]| {
+        let listed = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
+        let mut entries: Vec<PathBuf> =
+            listed.map(|entry| entry.path()).filter(|path| is_footage(path)).collect();
+        entries.sort_by(|a, b| natural_order(a, b));
+        entries
+    };
+    let below = move |level: &Vec<PathBuf>| {
+        Some(within(&level.iter().filter(|path| path.is_dir()).cloned().collect::<Vec<_>>()))
+    };
+    std::iter::successors(Some(within(&[folder.to_owned()])), below).take(DEPTH)
+}
+
 /// The first path (shallowest, then in natural order) in or below `folder` that `fits`.
 fn find_below(folder: &Path, fits: &dyn Fn(&Path) -> bool) -> Option<PathBuf> {
-    let mut level = vec![folder.to_owned()];
-    for _ in 0..DEPTH {
-        let mut entries: Vec<PathBuf> =
-            level.iter().filter_map(|f| fs::read_dir(f).ok()).flatten().flatten().map(|e| e.path()).collect();
-        entries.retain(|p| is_footage(p));
-        entries.sort_by(|a, b| natural_order(a, b));
-        if let Some(found) = entries.iter().find(|p| fits(p)) {
-            return Some(found.clone());
-        }
-        level = entries.into_iter().filter(|p| p.is_dir()).collect();
-    }
-    None
+    levels(folder).find_map(|level| level.into_iter().find(|path| fits(path)))
 }
 
 fn file_called(folder: &Path, name: &str) -> Option<PathBuf> {
@@ -138,12 +145,14 @@ fn read_text(file: &Path) -> Result<String, CalibrationError> {
     ffgs_core::read_text(file, MAX_TEXT_BYTES).map_err(|e| CalibrationError::io(file, e))
 }
 
-/// Refuses what is no camera, by the rules of [`Camera`].
+/// Refuses what is no camera, by the rules of [`Camera`]; of a video whose size is not known yet, what does not depend on it.
 fn checked(camera: SourceCamera, file: &Path) -> Result<SourceCamera, CalibrationError> {
+    let size = Some(camera.lens.size).filter(|size| size.pixels() > 0);
     for pose in &camera.poses {
-        let pinhole = Camera::new(camera.lens.intrinsics, *pose, camera.lens.size);
-        let fault = pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
-        if let Some(fault) = fault {
+        let any = ImageSize { width: 1, height: 1 };
+        let pinhole = Camera::new(camera.lens.intrinsics, *pose, size.unwrap_or(any));
+        let stray = |pinhole: Camera| pinhole.stray_principal_point().filter(|_| size.is_some());
+        if let Some(fault) = pinhole.map_or_else(|e| Some(e.to_string()), stray) {
             return Err(CalibrationError::content(file, format!("camera '{}': {fault}", camera.name)));
         }
     }
@@ -164,6 +173,17 @@ fn image_size(file: &Path) -> Result<ImageSize, CalibrationError> {
     let (width, height) =
         reader.into_dimensions().map_err(|e| CalibrationError::content(file, e.to_string()))?;
     Ok(ImageSize { width: width as usize, height: height as usize })
+}
+
+/// Width and height: as given, or of the first picture; (0, 0) for a video, whose size is known when ffmpeg has looked at it, and to which the lens belongs.
+fn image_or_given_size(given: [Option<f64>; 2], pictures: &Pictures) -> Result<ImageSize, String> {
+    match (given, pictures) {
+        ([Some(width), Some(height)], _) if width > 0.0 && height > 0.0 => {
+            Ok(ImageSize { width: width as usize, height: height as usize })
+        }
+        (_, Pictures::Files(files)) => image_size(&files[0]).map_err(|e| e.to_string()),
+        (_, Pictures::Video(_)) => Ok(ImageSize { width: 0, height: 0 }),
+    }
 }
 
 /// Rows of a 3x3 camera matrix; skew is refused, as no lens of today has it.

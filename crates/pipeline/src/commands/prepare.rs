@@ -17,9 +17,9 @@ use std::sync::Mutex;
     about = "Make a capture of footage: videos or photographs with a calibration",
     long_about = "Makes a capture of videos or photographs with a calibration. The format is recognised: \
         Dynamic3DGaussians, CMU Panoptic, N3DV (poses_bounds.npy), nerfstudio and instant-ngp (transforms.json), \
-        EasyVolcap and EasyMocap (intri.yml), caliscope, aniposelib and Pose2Sim (TOML), Qualisys (*.qca.txt), COLMAP (text or binary). Pictures \
+        EasyVolcap and EasyMocap (intri.yml), caliscope, aniposelib and Pose2Sim (TOML), Qualisys (*.qca.txt), COLMAP (text or binary), a file of OpenCV per camera (XML or YAML). Pictures \
         of a camera are a video or a folder that has its name in the calibration (cam_1.mp4, cam_1/), below SOURCE; those \
-        of a TOML, of Qualisys or of EasyVolcap may also spell it otherwise (cam01.mp4), or be the only video in a folder of that name, \
+        of a TOML, of Qualisys, of EasyVolcap or of OpenCV may also spell it otherwise (cam01.mp4), or be the only video in a folder of that name, \
         or with that word in its own. Lenses are undistorted; what is missing (masks, initial points, tracks) is made. The same command again goes on where \
         it stopped. docs/footage.md tells what each format asks for.",
     after_help = "Examples:\n  ffgs prepare session --out capture --scale 0.5\n  \
@@ -33,7 +33,7 @@ pub struct PrepareArgs {
     #[arg(long, alias = "output", value_name = "DIR")]
     pub out: PathBuf,
     /// The calibration's format instead of the one that is recognised: dynamic3dgs, panoptic, n3dv, transforms,
-    /// easyvolcap, toml, qualisys or colmap
+    /// easyvolcap, toml, qualisys, colmap or opencv
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
     /// First frame of the footage

@@ -54,12 +54,15 @@ pub struct WorkflowArgs {
     gpus: Vec<usize>,
 }
 
-/// The files beside config.json.
-const FILES: [(&str, &str); 9] = [
+/// The program's files beside config.json,
+const FILES: [(&str, &str); 4] = [
     ("Snakefile", include_str!("../../workflow/Snakefile")),
     ("lease.py", include_str!("../../workflow/lease.py")),
     ("table.py", include_str!("../../workflow/table.py")),
     ("report.py", include_str!("../../workflow/report.py")),
+];
+/// and those that users adapt to their machines.
+const PROFILES: [(&str, &str); 5] = [
     ("profiles/laptop/config.yaml", include_str!("../../workflow/profiles/laptop/config.yaml")),
     ("profiles/slurm/config.yaml", include_str!("../../workflow/profiles/slurm/config.yaml")),
     ("profiles/kubernetes/config.yaml", include_str!("../../workflow/profiles/kubernetes/config.yaml")),
@@ -123,6 +126,9 @@ pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
     for (name, text) in FILES {
         put(&args.out.join(name), text)?;
     }
+    for (name, text) in PROFILES {
+        put_unless_adapted(&args.out.join(name), text)?;
+    }
     write_json(&file, &settings)?;
     terminal::print(format!(
         "{}: {} runs; start them there with snakemake",
@@ -177,9 +183,35 @@ fn put(file: &Path, text: &str) -> Result<()> {
         .with_context(|| format!("cannot write {}", file.display()))
 }
 
+/// Keeps a file that says something else: its user wrote it.
+fn put_unless_adapted(file: &Path, text: &str) -> Result<()> {
+    if !file.exists() {
+        return put(file, text);
+    }
+    if std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))? != text.as_bytes() {
+        terminal::print(format!("{} was adapted and stays as it is; remove it to get ours", file.display()));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_adapted_file_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("profiles/slurm/config.yaml");
+        let written = |text| {
+            put_unless_adapted(&file, text).unwrap();
+            std::fs::read_to_string(&file).unwrap()
+        };
+        assert_eq!(written("jobs: 8\n"), "jobs: 8\n");
+        std::fs::write(&file, "jobs: 64\n").unwrap();
+        assert_eq!(written("jobs: 8\n"), "jobs: 64\n");
+        std::fs::remove_file(&file).unwrap();
+        assert_eq!(written("jobs: 9\n"), "jobs: 9\n", "ours again");
+    }
 
     #[test]
     fn names_that_a_shell_would_take_apart_are_refused() {

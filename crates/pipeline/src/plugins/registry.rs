@@ -3,7 +3,7 @@
 use crate::plugins::method::Method;
 use crate::plugins::methods;
 use anyhow::Result;
-use ffgs_calibration::formats::{COLMAP, EASYVOLCAP, N3DV, PANOPTIC, QUALISYS, TOML, TRANSFORMS};
+use ffgs_calibration::formats::{COLMAP, EASYVOLCAP, N3DV, OPENCV, PANOPTIC, QUALISYS, TOML, TRANSFORMS};
 use ffgs_dataset::Dynamic3dGaussians;
 use ffgs_method::{Capture, CaptureFormat, Fault, Registry, SplatWriter};
 use ffgs_prepare::InPlace;
@@ -21,6 +21,7 @@ pub const CAPTURES: Registry<dyn CaptureFormat> = Registry {
         &InPlace(&TOML),
         &InPlace(&QUALISYS),
         &InPlace(&COLMAP),
+        &InPlace(&OPENCV),
     ],
 };
 

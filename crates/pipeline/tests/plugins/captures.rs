@@ -24,6 +24,7 @@ pub(crate) fn write(format: &str, folder: &Path) {
         "toml" => toml(folder),
         "qualisys" => qualisys(folder),
         "colmap" => colmap(folder),
+        "opencv" => opencv(folder),
         other => panic!("no capture of the format {other}: add one"),
     }
 }
@@ -194,4 +195,22 @@ fn colmap(folder: &Path) {
     file(folder, "sparse/0/cameras.txt", format!("1 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} 16 12\n"));
     file(folder, "sparse/0/images.txt", images);
     file(folder, "sparse/0/points3D.txt", "1 0.1 0.2 0.3 10 20 30 0.1\n");
+}
+
+fn opencv(folder: &Path) {
+    pictures(folder, ["cam1/1.png", "cam2/1.png"]);
+    let entry = |name: &str, values: &[f64]| {
+        let words: Vec<String> = values.iter().map(f64::to_string).collect();
+        format!("<{name} type_id=\"opencv-matrix\"><data>{}</data></{name}>", words.join(" "))
+    };
+    for (name, pose) in ["cam1", "cam2"].into_iter().zip(poses()) {
+        let camera = [
+            entry("CameraMatrix", &rows(matrix(0.0))),
+            entry("DistortionCoeffs", &[0.0; 5]),
+            entry("Rotation", &rows(rotation(pose))),
+            entry("Translation", &translation(pose)),
+        ];
+        let text = format!("<?xml version=\"1.0\"?><opencv_storage>{}</opencv_storage>", camera.concat());
+        file(folder, &format!("{name}/config.xml"), text);
+    }
 }

@@ -1,12 +1,11 @@
 //! `intri.yml` and `extri.yml` of EasyMocap, EasyVolcap and ZJU-MoCap: OpenCV's YAML with `K_NAME`, `dist_NAME`,
 //! `Rot_NAME` (or `R_NAME`, a Rodrigues vector) and `T_NAME`, world to camera, metres.
 
-use super::{Format, checked, file_called, image_size, intrinsics, read_text, rigid, rodrigues};
+use super::file_storage::{Values, parse, value};
+use super::{Format, checked, file_called, image_or_given_size, intrinsics, read_text, rigid, rodrigues};
 use crate::media::{images_in, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
-use ffgs_core::ImageSize;
 use glam::{DMat3, DVec3};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Reads EasyMocap's and EasyVolcap's calibration.
@@ -19,45 +18,6 @@ pub const FORMAT: Format = Format {
 
 /// The folders in which these programs keep masks.
 const MASKS: [&str; 3] = ["masks", "mask", "bgmasks"];
-
-/// Numbers of every key; scalars are one number. OpenCV's files start with `%YAML:1.0` and use the tag
-/// `!!opencv-matrix`, which YAML readers refuse, and need no more of YAML than this.
-fn parse(text: &str) -> Result<BTreeMap<String, Vec<f64>>, String> {
-    let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    let mut key = String::new();
-    let mut open: Option<String> = None;
-    for line in text.lines().map(str::trim_end).filter(|l| !l.starts_with(['%', '#']) && *l != "---") {
-        if let Some(data) = &mut open {
-            data.push_str(line);
-        } else if let Some((name, rest)) = line.split_once(':') {
-            let (indented, name, rest) = (line.starts_with([' ', '\t']), name.trim(), rest.trim());
-            if !indented {
-                name.trim_matches('"').clone_into(&mut key);
-            }
-            match (indented, name, rest.starts_with('[')) {
-                (true, "data", _) | (false, _, true) => open = Some(rest.to_owned()),
-                (false, ..) => {
-                    values.extend(rest.parse().ok().map(|v: f64| (key.clone(), vec![v])));
-                }
-                _ => {}
-            }
-        }
-        if open.as_ref().is_some_and(|data| data.contains(']')) {
-            values.insert(
-                key.clone(),
-                numbers(&open.take().unwrap_or_default()).map_err(|e| format!("{key}: {e}"))?,
-            );
-        }
-    }
-    Ok(values)
-}
-
-fn numbers(text: &str) -> Result<Vec<f64>, String> {
-    let inner = text.trim_start_matches('[').split(']').next().unwrap_or_default();
-    let words = inner.split(',').map(str::trim).filter(|w| !w.is_empty());
-    // OpenCV writes .Nan and .Inf.
-    words.map(|w| w.trim_start_matches('.').parse().map_err(|_| format!("'{w}' is not a number"))).collect()
-}
 
 fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let load =
@@ -92,12 +52,6 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     Ok(footage)
 }
 
-type Values = BTreeMap<String, Vec<f64>>;
-
-fn value<'a, const N: usize>(values: &'a Values, key: &str) -> Option<&'a [f64; N]> {
-    values.get(key)?.as_slice().try_into().ok()
-}
-
 fn lens(values: &Values, name: &str, pictures: &Pictures) -> Result<Lens, String> {
     let k = value::<9>(values, &format!("K_{name}")).ok_or("K is not 3x3")?;
     let rows = [[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]];
@@ -106,12 +60,7 @@ fn lens(values: &Values, name: &str, pictures: &Pictures) -> Result<Lens, String
         [format!("dist_{name}"), format!("D_{name}")].into_iter().find_map(|key| values.get(&key));
     let distortion = Distortion::opencv(coefficients.unwrap_or(&empty))?;
     let side = |letter: &str| values.get(&format!("{letter}_{name}")).and_then(|v| v.first()).copied();
-    let size = match (side("W"), side("H"), pictures) {
-        (Some(w), Some(h), _) if w > 0.0 && h > 0.0 => ImageSize { width: w as usize, height: h as usize },
-        (_, _, Pictures::Files(files)) => image_size(&files[0]).map_err(|e| e.to_string())?,
-        // The size of a video is known when ffmpeg has looked at it; the lens belongs to that size.
-        (_, _, Pictures::Video(_)) => ImageSize { width: 0, height: 0 },
-    };
+    let size = image_or_given_size([side("W"), side("H")], pictures)?;
     Ok(Lens::with_integer_centers(intrinsics(rows)?, distortion, size))
 }
 
@@ -136,23 +85,4 @@ fn masks(home: &Path, name: &str, pictures: &Pictures) -> Option<Pictures> {
         masks.len() == files.len() && masks.iter().zip(files).all(|(m, f)| stem(m) == stem(f))
     };
     all.into_iter().find(same).map(Pictures::Files)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn opencvs_yaml_is_read_in_all_its_forms() {
-        let text = "%YAML:1.0\n---\nnames:\n  - \"01\"\nK_01: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   \
-            data: [ 1., 2.5e+02,\n       -3, 0. ]\nH_01: 1080\nv: [1, 2]\nbad: !!opencv-matrix\n   data: [ .Nan ]\n";
-        let values = parse(text).unwrap();
-        assert_eq!(values["K_01"], [1.0, 250.0, -3.0, 0.0]);
-        assert_eq!(
-            (values["H_01"].as_slice(), values["v"].as_slice()),
-            ([1080.0].as_slice(), [1.0, 2.0].as_slice())
-        );
-        assert!(values["bad"][0].is_nan());
-        assert!(parse("K: !!opencv-matrix\n   data: [ x ]\n").unwrap_err().contains('x'));
-    }
 }
