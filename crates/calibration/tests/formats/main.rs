@@ -1,5 +1,6 @@
 //! One rig, written by hand in every format, must come back the same.
 
+mod opencv;
 mod rig;
 
 use ffgs_arrays::NpzWriter;
@@ -364,7 +365,7 @@ fn what_is_no_folder_is_told() {
 
 /// The example that docs/footage.md has for calibrations of other programs.
 fn documented() -> &'static str {
-    let (_, from) = include_str!("../../../docs/footage.md").split_once("```toml\n[cam1]").unwrap();
+    let (_, from) = include_str!("../../../../docs/footage.md").split_once("```toml\n[cam1]").unwrap();
     from.split_once("```").unwrap().0
 }
 

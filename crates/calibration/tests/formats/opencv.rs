@@ -1,9 +1,7 @@
 //! The rig as programs write it with OpenCV's `FileStorage`, a file or two for each camera.
 
-mod rig;
-
+use crate::rig::*;
 use glam::{DMat3, DQuat, DVec3};
-use rig::*;
 use std::fs;
 
 fn file_storage(matrices: &[(&str, usize, Vec<f64>)], yaml: bool) -> String {
@@ -35,7 +33,7 @@ type OpenCv = ([f64; 9], [DVec3; 2], [DMat3; 2]);
 
 fn opencv_values() -> OpenCv {
     let k = [K[0], 0.0, K[2] - 0.5, 0.0, K[1], K[3] - 0.5, 0.0, 0.0, 1.0];
-    let rotations = poses().map(|pose| DMat3::from_mat4(pose));
+    let rotations = poses().map(DMat3::from_mat4);
     let vectors = rotations.map(|rotation| DQuat::from_mat3(&rotation).to_scaled_axis());
     (k, vectors, rotations)
 }
