@@ -90,11 +90,13 @@ impl Step {
             Self::Pictures => 0,
             // What is seen behind other things has points (docs/adr/0095-what-views-look-through-stands-behind.md).
             Self::Points => 1,
-            // Each of a few views asks the others for its mask (docs/adr/0097-each-of-a-few-views-asks-the-others.md), and what stands and sways
-            // is found (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md). Tracks have neighbours that agree
-            // (docs/adr/0091-tracks-need-neighbours-that-agree.md), and corners in masks where texture is faint
+            // Tracks have neighbours that agree (docs/adr/0091-tracks-need-neighbours-that-agree.md), and corners in masks where texture is faint
             // (docs/adr/0098-in-masks-what-can-be-followed-is-a-corner.md).
-            Self::Masks | Self::Tracks => 2,
+            Self::Tracks => 2,
+            // Each of a few views asks the others for its mask (docs/adr/0097-each-of-a-few-views-asks-the-others.md), what stands and sways
+            // is found (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md), and a background that never changed is right
+            // (docs/adr/0104-a-background-that-never-changed-is-right.md).
+            Self::Masks => 3,
         }
     }
 }

@@ -47,19 +47,30 @@ impl Colours {
         Some(Self(inside.iter().zip(&around).map(|(f, b)| (f / b).ln()).collect()))
     }
 
-    /// Weighs the votes of the pixels near the mask, which are by their difference from the background, with what colours say.
-    pub(crate) fn weigh(&self, votes: &mut [f32], image: &ImageRgb8, background: &Background, mask: &Mask) {
+    /// Weighs the votes of the pixels near the mask, which are by their difference from the background, with what colours say. `changed` is where something
+    /// else than the background was ever seen.
+    pub(crate) fn weigh(
+        &self,
+        votes: &mut [f32],
+        image: &ImageRgb8,
+        background: &Background,
+        changed: &Mask,
+        mask: &Mask,
+    ) {
         let (gain, near) = (background.gain(image), regions::surroundings(mask));
         for i in (0..votes.len()).filter(|&i| near.data()[i] == 1) {
-            votes[i] = self.vote(votes[i], colour(image, gain, i), background.colour[i]);
+            let there = (changed.data()[i] == 1).then_some(background.colour[i]);
+            votes[i] = self.vote(votes[i], colour(image, gain, i), there);
         }
     }
 
-    /// The log odds of foreground of a pixel with colour `here`, whose difference from the background `there` says `own`. The more often the
-    /// masks hold the background's colour, the more likely is it that of a thing: then the difference says nothing, and the pixel's colour counts alone.
-    fn vote(&self, own: f32, here: [f32; 3], there: [f32; 3]) -> f32 {
-        let (here, there) = (self.0[bin(here)], self.0[bin(there)]);
-        let odds = WRONG / (1.0 - WRONG) * (WRONG_POWER * there).exp();
+    /// The log odds of foreground of a pixel with colour `here`, whose difference from the background says `own`. The more often the masks hold the
+    /// background's colour `there`, the more likely is it that of a thing: then the difference says nothing, and the pixel's colour counts alone. There is none
+    /// where nothing else was ever seen: the background is right.
+    fn vote(&self, own: f32, here: [f32; 3], there: Option<[f32; 3]>) -> f32 {
+        let here = self.0[bin(here)];
+        let odds =
+            there.map_or(0.0, |there| WRONG / (1.0 - WRONG) * (WRONG_POWER * self.0[bin(there)]).exp());
         let wrong = odds / (1.0 + odds);
         let with_colour = own + (VOTE * here).clamp(-MOST, MOST);
         let alone = here.clamp(-MOST_ALONE, MOST_ALONE);
@@ -146,7 +157,7 @@ mod tests {
         let (background, image) = (background(), picture());
         let colours = Colours::learn(&background, std::slice::from_ref(&image), std::slice::from_ref(mask));
         let mut votes = vec![0.0; SIZE.pixels()];
-        colours.unwrap().weigh(&mut votes, &image, &background, mask);
+        colours.unwrap().weigh(&mut votes, &image, &background, &Mask::filled(SIZE, true), mask);
         votes
     }
 
@@ -179,17 +190,19 @@ mod tests {
         };
         let (ghost, hole, body, road) = (14 * 80 + 26, 14 * 80 + 35, 14 * 80 + 45, 14 * 80 + 53);
         let by_difference = |i: usize| if i == ghost || i == body { 2.0 } else { -2.0 };
-        let weighed = |background: &Background| {
+        let weighed = |background: &Background, changed: bool| {
             let colours =
                 Colours::learn(background, std::slice::from_ref(&image), std::slice::from_ref(&mask))
                     .unwrap();
             let mut votes: Vec<f32> = (0..SIZE.pixels()).map(by_difference).collect();
-            colours.weigh(&mut votes, &image, background, &mask);
+            colours.weigh(&mut votes, &image, background, &Mask::filled(SIZE, changed), &mask);
             [ghost, hole, body, road].map(|i| votes[i])
         };
-        let [ghost, hole, body, road] = weighed(&wrong_there);
+        let [ghost, hole, body, road] = weighed(&wrong_there, true);
         assert!(ghost < -0.5 && hole > 0.5 && body > 2.0 && road < -2.0, "{ghost} {hole} {body} {road}");
-        let [_, hole, body, road] = weighed(&background());
+        let [ghost, hole, ..] = weighed(&wrong_there, false);
+        assert!(ghost > 1.0 && hole < -1.0, "nothing else was ever seen there: {ghost} {hole}");
+        let [_, hole, body, road] = weighed(&background(), true);
         assert!(hole < -0.5 && body > 2.0 && road < -2.0, "right: {hole} {body} {road}");
     }
 

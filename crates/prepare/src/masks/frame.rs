@@ -57,14 +57,15 @@ pub(super) fn masks_of(
         .collect();
     let cameras: Vec<Camera> = loaded.iter().map(|l| l.0).collect();
     let refined = |(v, agreed): (usize, &Agreed)| {
-        let (Some(raw), Some(Learnt { background, colours, always_covered, .. })) = (&raw[v], &learnt[v])
+        let (Some(raw), Some(Learnt { background, colours, always_covered, changed, .. })) =
+            (&raw[v], &learnt[v])
         else {
             return agreed.mask.clone();
         };
         let image = &loaded[v].1;
         let mut votes = cut::votes(raw, image.size());
         if let Some(colours) = colours {
-            colours.weigh(&mut votes, image, background, &agreed.mask);
+            colours.weigh(&mut votes, image, background, changed, &agreed.mask);
         }
         cut::add_other_views(&mut votes, &agreed.possible, &agreed.confirmed);
         cut::cover(&mut votes, always_covered, &agreed.possible);

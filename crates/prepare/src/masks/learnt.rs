@@ -21,6 +21,8 @@ pub(super) struct Learnt {
     pub colours: Option<Colours>,
     /// What something covers in every frame, unless other views deny it.
     pub always_covered: Mask,
+    /// Where some picture shows something else than the background, which may then be what stood there for most of the time.
+    pub changed: Mask,
 }
 
 impl Learnt {
@@ -35,9 +37,13 @@ impl Learnt {
         }
         let levels = difference::levels(&background, &seen.frames, &seen.masks);
         let colours = Colours::learn(&background, &seen.frames, &seen.masks);
-        Self { background, levels, colours, always_covered }
+        let changed = seen.changed(&background, levels);
+        Self { background, levels, colours, always_covered, changed }
     }
 }
+
+/// Largest part of the image that counts as changed because all around it changed: the middle of what hardly moves is always covered.
+const ENCLOSED: f64 = 0.05;
 
 /// A pixel that is always covered in a part of the footage counts as covered in the rest of it too, unless the footage is so many times longer.
 const TWICE: f64 = 2.0;
@@ -69,6 +75,17 @@ impl Seen {
         }
         let frames = chosen.iter().map(|&i| &self.frames[i]);
         Background::learn(&frames.chain(&self.footage).collect::<Vec<_>>(), &masks)
+    }
+
+    /// Where one of the pictures differs from the background.
+    fn changed(&self, background: &Background, levels: f32) -> Mask {
+        let mut changed = vec![0; background.size.pixels()];
+        for image in self.frames.iter().chain(&self.footage) {
+            let scores = difference::raw(image, background, levels);
+            changed.iter_mut().zip(scores).for_each(|(changed, score)| *changed |= u8::from(score > 1.0));
+        }
+        let changed = Mask::new(background.size, changed).expect("one value per pixel");
+        regions::without_specks(&changed, 0.0, ENCLOSED)
     }
 }
 
@@ -168,5 +185,9 @@ mod tests {
         let corner = |longer: f64| seen(longer).background(&Mask::filled(size, false)).colour[0][0];
         assert!((corner(20.0) - 60.0).abs() < 2.0, "{}", corner(20.0));
         assert!((corner(1.0) - 200.0).abs() < 2.0, "of all frames most: {}", corner(1.0));
+        let seen = seen(20.0);
+        let changed = seen.changed(&seen.background(&Mask::filled(size, false)), 9.0);
+        let [corner, beside, below] = [0, 8, 10 * 40].map(|i| changed.data()[i]);
+        assert_eq!([corner, beside, below], [1, 0, 0], "the corner alone showed something else");
     }
 }
