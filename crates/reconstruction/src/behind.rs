@@ -1,7 +1,6 @@
 //! What moving things hide in the first frame: the surfaces around them, continued behind them (docs/adr/0093-surfaces-continue-behind-what-moves.md).
 
 use crate::disocclusion::hidden;
-
 use crate::outside::{HIDDEN_BELOW, shown_weights};
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;

@@ -145,6 +145,22 @@ fn translation(values: &Values) -> Option<(&str, &[f64])> {
     called(values, &[3], |key| key.starts_with("trans") || ["t", "tvec", "tvecs"].contains(&key))
 }
 
+/// The coefficients, if there are any.
+///
+/// # Errors
+/// When there are so many as OpenCV never has.
+fn distortion(values: &Values) -> Result<Option<&[f64]>, String> {
+    const COUNTS: [usize; 5] = [4, 5, 8, 12, 14];
+    let several: Vec<usize> = (2..=100).collect();
+    let found = called(values, &several, |key| key.starts_with("dist") || key == "d");
+    match found {
+        Some((key, found)) if !COUNTS.contains(&found.len()) => {
+            Err(format!("{key} has {} numbers; OpenCV's distortions have {COUNTS:?}", found.len()))
+        }
+        found => Ok(found.map(|(_, found)| found)),
+    }
+}
+
 /// What is missing for a camera.
 fn lacks(values: &Values) -> Option<&'static str> {
     let parts = [
@@ -171,6 +187,11 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             continue;
         }
         let fail = |reason: String| CalibrationError::content(file, format!("camera '{name}': {reason}"));
+        if distortion(values).map_err(fail)?.is_none() {
+            footage
+                .assumed
+                .push(format!("camera '{name}' has no distortion: {} tells of none", file.display()));
+        }
         let (lens, pose) = (lens(values, &pictures).map_err(fail)?, camera_from_world(values).map_err(fail)?);
         let camera =
             SourceCamera { name, lens, poses: vec![pose], pictures, masks: None, role: Role::Unsaid };
@@ -192,13 +213,12 @@ fn lens(values: &Values, pictures: &Pictures) -> Result<Lens, String> {
     let [fx, skew, cx, _, fy, cy, ..] = matrix(values).map_or(&[][..], |v| v.1) else {
         return Err("its camera matrix is not 3x3".to_owned());
     };
-    let coefficients = called(values, &[4, 5, 8, 12, 14], |key| key.starts_with("dist") || key == "d");
     let side = |name: &str| called(values, &[1], |key| key == name).map(|(_, v)| v[0]);
     let size = image_or_given_size([side("imagewidth"), side("imageheight")], pictures)?;
     let rows = [[*fx, *skew, *cx], [0.0, *fy, *cy], [0.0, 0.0, 1.0]];
     Ok(Lens::with_integer_centers(
         intrinsics(rows)?,
-        Distortion::opencv(coefficients.map_or(&[][..], |v| v.1))?,
+        Distortion::opencv(distortion(values)?.unwrap_or_default())?,
         size,
     ))
 }

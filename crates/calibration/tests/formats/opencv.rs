@@ -99,6 +99,20 @@ fn opencv_in_files_that_are_named_as_the_cameras_and_in_parts() {
     }
     assert_rig(&read(pictures.path(), "opencv").cameras, true);
 
+    let told = |coefficients: Vec<f64>| {
+        let mut optics = optics();
+        optics[1].2 = coefficients;
+        write(&pictures, "cam_0/intrinsics.yml", &file_storage(&optics, true));
+        let (format, file) = ffgs_calibration::detect(pictures.path(), None).unwrap();
+        (format.read)(pictures.path(), &file)
+            .map(|footage| footage.assumed)
+            .map_err(|error| error.to_string())
+    };
+    let error = told(vec![0.1; 6]).unwrap_err();
+    assert!(error.contains("'cam_0'") && error.contains("distortion_coefficients has 6 numbers"), "{error}");
+    assert!(told(vec![0.1; 5]).unwrap().len() == 1, "nothing but the poses is assumed");
+    assert!(told(Vec::new()).unwrap().iter().any(|s| s.contains("camera 'cam_0' has no distortion")));
+
     fs::remove_file(pictures.path().join("cam_1/extrinsics.xml")).unwrap();
     let footage = read(pictures.path(), "opencv");
     assert_eq!(footage.cameras.len(), 1);
