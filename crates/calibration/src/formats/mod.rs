@@ -147,7 +147,7 @@ fn read_text(file: &Path) -> Result<String, CalibrationError> {
 
 /// Refuses what is no camera, by the rules of [`Camera`]; of a video whose size is not known yet, what does not depend on it.
 fn checked(camera: SourceCamera, file: &Path) -> Result<SourceCamera, CalibrationError> {
-    let size = Some(camera.lens.size).filter(|size| size.pixels() > 0);
+    let size = Some(camera.lens.size).filter(|size| size.width > 0 && size.height > 0);
     for pose in &camera.poses {
         let any = ImageSize { width: 1, height: 1 };
         let pinhole = Camera::new(camera.lens.intrinsics, *pose, size.unwrap_or(any));
