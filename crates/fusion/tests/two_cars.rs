@@ -145,14 +145,8 @@ fn units_do_not_matter() {
         let prior = DMat3::from_diagonal(DVec3::splat(PRIOR_SIGMA * PRIOR_SIGMA));
         let fused = InformationFuser { config: FusionConfig::default() }.fuse(&FusionInput {
             prior_means: &places(&metres.previous),
-            prior_covariances: &scaled(&vec![prior; metres.truth.len()]),
             estimates: &estimates.collect::<Vec<_>>(),
-            previous_steps: None,
-            groups: None,
-            last_q: 0.0,
-            q_floor_m: 0.0,
-            observed: None,
-            flexibility: None,
+            ..input(&metres, &scaled(&vec![prior; metres.truth.len()]))
         });
         fused.unwrap().means.iter().map(|&mean| mean / unit).collect::<Vec<DVec3>>()
     };
