@@ -7,6 +7,7 @@
 mod atomic_file;
 mod camera;
 mod connected;
+mod counted;
 mod estimate;
 mod exposure;
 mod gaussians;
@@ -26,6 +27,7 @@ mod view;
 pub use atomic_file::write_atomically;
 pub use camera::{Camera, CameraError, ImageSize, Intrinsics, Projection};
 pub use connected::connected;
+pub use counted::counted;
 pub use estimate::{EstimateStatus, Estimates, Observations};
 pub use exposure::{Exposure, scale_odds};
 pub use gaussians::{Gaussians, PixelFilter, SH_C0, ShapeError, logit, sh_coefficients, sigmoid};

@@ -21,13 +21,11 @@ pub(crate) fn read(file: &Path, origin: DVec3, pixels: usize) -> Result<Points, 
         NpzFile::open_within(file, most * size_of::<[f64; 7]>())?.shaped::<f64>("data", &[None, Some(7)])?;
     let mut cloud = Points::default();
     for row in data.rows::<7>().unwrap_or_default() {
-        if row.iter().all(|v| (*v as f32).is_finite()) {
-            let [x, y, z, r, g, b, foreground] = *row;
-            let near = DVec3::new(x, y, z) - origin;
-            cloud.push([near.x, near.y, near.z, r, g, b].map(|v| v as f32), foreground > 0.5);
-        } else {
-            cloud.dropped += 1;
-        }
+        let [x, y, z, r, g, b, foreground] = *row;
+        let near = DVec3::new(x, y, z) - origin;
+        // A mark that is NaN makes the point worthless too.
+        let red = if foreground.is_finite() { r } else { f64::NAN };
+        cloud.push([near.x, near.y, near.z, red, g, b].map(|v| v as f32), foreground > 0.5);
     }
     Ok(cloud)
 }

@@ -205,8 +205,13 @@ impl Points {
         (kept, left_out)
     }
 
-    /// Appends a point: x, y, z (m), r, g, b (clamped to 0..=1).
-    pub fn push(&mut self, [x, y, z, r, g, b]: [f32; 6], foreground: bool) {
+    /// Appends a point: x, y, z (m), r, g, b (clamped to 0..=1). One with a value that is NaN or infinite is left out, and counted.
+    pub fn push(&mut self, point: [f32; 6], foreground: bool) {
+        if !point.iter().all(|v| v.is_finite()) {
+            self.dropped += 1;
+            return;
+        }
+        let [x, y, z, r, g, b] = point;
         self.positions.push([x, y, z]);
         self.colours.push([r, g, b].map(|c| c.clamp(0.0, 1.0)));
         self.foreground.push(foreground);
@@ -216,6 +221,17 @@ impl Points {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn points_that_are_not_finite_are_counted() {
+        let mut points = Points::default();
+        for x in [0.5, f32::NAN, f32::INFINITY, 1e39_f64 as f32] {
+            points.push([x, 0.0, 0.0, 0.5, 0.5, 0.5], true);
+        }
+        points.push([0.0, 0.0, 0.0, 0.5, f32::NAN, 0.5], false);
+        assert_eq!((points.positions.len(), points.dropped), (1, 4));
+        assert_eq!(points.colours.len() + points.foreground.len(), 2);
+    }
 
     #[test]
     fn the_first_point_of_each_place_stays() {

@@ -9,6 +9,7 @@ use crate::{PrepareError, Request, video};
 use ffgs_calibration::{CLEAN_PLATES, Media, Pictures};
 use ffgs_core::ImageRgb8;
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 /// Pictures that are read of a camera's footage, and of the empty scene, at most.
@@ -23,7 +24,7 @@ pub(crate) struct Beside<'a> {
     clean_plates: BTreeMap<String, Pictures>,
     kept: PathBuf,
     /// Pictures of the footage from one frame of the capture to the next.
-    every: usize,
+    every: NonZeroUsize,
 }
 
 impl<'a> Beside<'a> {
@@ -69,7 +70,7 @@ impl<'a> Beside<'a> {
     /// The empty scene in a camera; none where it was not filmed.
     ///
     /// # Errors
-    /// When a picture cannot be read, or is not as large as the camera's.
+    /// When a picture cannot be read, none is there, or one is not as large as the camera's.
     pub(crate) fn clean_plates(&self, camera: &str) -> Result<Vec<ImageRgb8>, PrepareError> {
         let (Some(camera), Some(pictures)) = (self.camera(camera), self.clean_plates.get(camera)) else {
             return Ok(Vec::new());
@@ -85,13 +86,18 @@ impl<'a> Beside<'a> {
             same_size(camera, picture.size(), file)?;
             Ok(camera.undistortion.apply(&picture).0)
         };
-        Sequence { pictures, count, rate }.spread(SAMPLES)?.into_iter().map(undistorted).collect()
+        let found = Sequence { pictures, count, rate }.spread(SAMPLES)?;
+        if found.is_empty() {
+            let file = first_file(pictures).unwrap_or(&self.kept);
+            return Err(PrepareError::picture(file, "this clean plate holds no picture that can be decoded"));
+        }
+        found.into_iter().map(undistorted).collect()
     }
 
     /// How many times as long a camera's footage is as so many frames of it.
     pub(crate) fn times_longer(&self, camera: &str, frames: usize) -> f64 {
         let pictures = self.camera(camera).map_or(0, |camera| camera.sequence.pictures);
-        pictures as f64 / (frames * self.every) as f64
+        pictures as f64 / (frames * self.every.get()) as f64
     }
 
     /// Pictures spread over the whole of a camera's footage, but for those of another size.
@@ -116,6 +122,13 @@ impl<'a> Beside<'a> {
 
     fn camera(&self, name: &str) -> Option<&RigCamera> {
         self.rig.cameras.iter().find(|camera| camera.name == name)
+    }
+}
+
+fn first_file(pictures: &Pictures) -> Option<&Path> {
+    match pictures {
+        Pictures::Video(file) => Some(file),
+        Pictures::Files(files) => files.first().map(PathBuf::as_path),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::PrepareError;
 use crate::camera_lists::write_json;
-use ffgs_core::{Camera, open_input, write_atomically};
+use ffgs_core::{Camera, is_present, open_input, write_atomically};
 use ffgs_dataset::{Capture, Points, Split};
 use glam::{DMat4, DQuat};
 use serde_json::{Value, json};
@@ -56,7 +56,8 @@ pub fn convert(capture: &Capture, layout: Layout, frame: usize, out: &Path) -> R
     }
     let shots = shots(capture, frame, out)?;
     // A capture may do without points; other tools start from random ones then.
-    let points = capture.initial_points().unwrap_or_default();
+    let has_points = is_present(&capture.points_path());
+    let points = if has_points { capture.initial_points()? } else { Points::default() };
     match layout {
         Layout::Nerfstudio => {
             let with_points = !points.is_empty();

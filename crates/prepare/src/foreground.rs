@@ -65,7 +65,7 @@ fn hull_rows(views: &[View], hull: &Hull, unexplained: &[Unexplained]) -> Vec<Ro
 /// A voxel and those at its six sides.
 fn around(voxel: IVec3) -> impl Iterator<Item = IVec3> {
     let sides = IVec3::AXES.into_iter().flat_map(|side| [side, -side]);
-    std::iter::once(IVec3::ZERO).chain(sides).map(move |side| voxel + side)
+    std::iter::once(IVec3::ZERO).chain(sides).map(move |side| voxel.saturating_add(side))
 }
 
 /// Voxels with a free neighbour.

@@ -55,7 +55,9 @@ impl FootageCapture {
         let refuse = |problem: String| Fault::new(&calibration, problem, fix.clone());
         if footage.cameras.len() < 2 {
             let (found, skipped) = (footage.cameras.len(), footage.skipped.join("; "));
-            return Err(refuse(format!("{found} camera with pictures was found, two are needed. {skipped}")));
+            return Err(refuse(format!(
+                "two cameras with pictures are needed, {found} can be used. {skipped}"
+            )));
         }
         if let Some(reason) = needs_conversion(&footage) {
             return Err(refuse(reason));

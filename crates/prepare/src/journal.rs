@@ -21,6 +21,9 @@ pub(crate) struct Journal {
     pub settings: BTreeMap<String, serde_json::Value>,
     /// Finished steps and the sentence that says what they did.
     pub steps: BTreeMap<Step, String>,
+    /// Steps whose results are being removed, to be made again.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub to_clear: Vec<Step>,
     /// The versions of these steps; 0 without one.
     #[serde(default)]
     pub versions: BTreeMap<Step, u32>,
@@ -68,15 +71,21 @@ impl Journal {
         if let Some((key, value)) = differs
             && !request.force.contains(&Step::Pictures)
         {
-            let old = journal.settings.get(key).map_or("unset".into(), ToString::to_string);
-            let reason = format!("its pictures were made with {key} = {old}, now {value} is asked for");
+            let old = journal.settings.get(key).unwrap_or(&serde_json::Value::Null);
+            let reason = format!(
+                "its pictures were made with {}, now {} is asked for (--force pictures makes everything again)",
+                told(key, old),
+                told(key, value)
+            );
             return Err(PrepareError::Output { folder: request.out.clone(), reason });
         }
         if request.force.contains(&Step::Pictures) {
             // Masks, points and tracks belong to their pictures.
-            return Ok(Self { settings: wanted, ..Self::default() });
+            return Ok(Self { settings: wanted, to_clear: request.force.clone(), ..Self::default() });
         }
-        journal.steps.retain(|step, _| !request.force.contains(step));
+        journal.to_clear.extend(&request.force);
+        let Self { steps, to_clear, .. } = &mut journal;
+        steps.retain(|step, _| !to_clear.contains(step));
         journal.refuse_other_plates(request)?;
         Ok(journal)
     }
@@ -168,6 +177,11 @@ fn path(out: &Path) -> PathBuf {
 /// The folder by its whole path; one that is not there as it was named.
 pub(crate) fn absolute(folder: &Path) -> PathBuf {
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned())
+}
+
+/// A setting as a user would name it.
+fn told(key: &str, value: &serde_json::Value) -> String {
+    if value.is_null() { format!("no --{key}") } else { format!("{key} = {value}") }
 }
 
 fn settings(request: &Request) -> BTreeMap<String, serde_json::Value> {

@@ -35,13 +35,16 @@ fn prepared(request: &Request, progress: &dyn Progress) -> Result<Summary, Prepa
     let mut networks = Networks::load(if request.wants(Step::Tracks) { &request.networks } else { &[] })?;
     refuse_plates_among_footage(request)?;
     let mut journal = Journal::open(request)?;
-    clear_forced(request)?;
-    if networks.announce(&request.out)? {
-        journal.steps.remove(&Step::Tracks);
-    }
     let (format, calibration) = detect(&request.source, request.format.as_deref())?;
     let mut footage = (format.read)(&request.source, &calibration)?;
     journal.refuse_other_calibration(&footage, request)?;
+    if !journal.to_clear.is_empty() {
+        refuse_useless(&footage, request)?;
+        clear(&mut journal, &request.out)?;
+    }
+    if networks.announce(&request.out)? {
+        journal.steps.remove(&Step::Tracks);
+    }
     let mut summary = Summary::default();
     summary.row("footage", format!("{} ({})", request.source.display(), format.name));
     summary.row("calibration", calibration.display().to_string());
@@ -141,7 +144,8 @@ fn known_points(footage: &Footage, journal: &Journal) -> Vec<StereoPoint> {
         position: (p.position - DVec3::from(journal.origin)) * journal.metres_per_unit,
         colour: p.colour.map(|c| f32::from(c) / 255.0),
     };
-    footage.points.iter().map(to_capture).collect()
+    let is_usable = |point: &StereoPoint| point.position.as_vec3().is_finite();
+    footage.points.iter().map(to_capture).filter(is_usable).collect()
 }
 
 fn make_pictures(
@@ -180,17 +184,33 @@ fn describe(rig: &Rig, footage: &Footage, frames: usize, spread: Option<f64>) ->
     )
 }
 
-/// Removes what is to be made again.
-fn clear_forced(request: &Request) -> Result<(), PrepareError> {
+/// What would stop a step that is to be made again must not cost the result that is there.
+fn refuse_useless(footage: &Footage, request: &Request) -> Result<(), PrepareError> {
+    let rig = rig(footage, request)?;
+    let sequences: Vec<_> = rig.cameras.iter().map(|c| c.sequence.clone()).collect();
+    schedule(&sequences, footage.timestamps.as_deref(), request)?;
+    let beside = Beside::new(&rig, request)?;
+    rig.cameras.iter().try_for_each(|camera| beside.clean_plates(&camera.name).map(|_| ()))?;
+    beside.discard()
+}
+
+/// Removes what is to be made again. The journal tells so before the first file goes: a preparation that is killed in between goes on with it.
+fn clear(journal: &mut Journal, out: &Path) -> Result<(), PrepareError> {
     let results = |step: &Step| match step {
         // Masks, points and tracks belong to their pictures.
         Step::Pictures => {
-            ["train_meta.json", "test_meta.json", "ims", "seg", "init_pt_cld.npz", "tracks"].as_slice()
+            ["train_meta.json", "test_meta.json", "ims", "seg", "seg.part", "init_pt_cld.npz", "tracks"]
+                .as_slice()
         }
-        Step::Masks => &["seg"],
+        Step::Masks => &["seg", "seg.part"],
         Step::Points => &["init_pt_cld.npz"],
         Step::Tracks => &[],
     };
-    request.force.iter().flat_map(results).try_for_each(|name| remove(&request.out.join(name)))?;
-    if request.force.contains(&Step::Tracks) { tracking::discard(&request.out) } else { Ok(()) }
+    journal.save(out)?;
+    let steps = std::mem::take(&mut journal.to_clear);
+    steps.iter().flat_map(results).try_for_each(|name| remove(&out.join(name)))?;
+    if steps.contains(&Step::Tracks) {
+        tracking::discard(out)?;
+    }
+    journal.save(out)
 }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -20,10 +21,10 @@ pub struct Request {
     /// Frames of the capture; all when `None`.
     pub count: Option<usize>,
     /// Every n-th frame is taken.
-    pub every: usize,
+    pub every: NonZeroUsize,
     /// Size of the new images in parts of the old, in (0, 1].
     pub scale: f64,
-    /// By camera, frames of its own video that come before the common start; negative when it starts late.
+    /// By camera (a name as the calibration or as the capture spells it), frames of its own video that come before the common start; negative when it starts late.
     pub offsets: BTreeMap<String, i64>,
     /// Metres in one unit of the calibration; the format's own when `None`.
     pub metres_per_unit: Option<f64>,
@@ -48,7 +49,7 @@ impl Request {
             format: None,
             start: 0,
             count: None,
-            every: 1,
+            every: NonZeroUsize::MIN,
             scale: 1.0,
             offsets: BTreeMap::new(),
             metres_per_unit: None,

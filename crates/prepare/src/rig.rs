@@ -3,7 +3,7 @@
 use crate::timing::Sequence;
 use crate::{PrepareError, Request, TestCameras, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
-use ffgs_core::{Camera, ImageSize};
+use ffgs_core::{Camera, ImageSize, counted};
 use glam::{DMat4, DVec3};
 
 /// A camera as the capture will have it.
@@ -43,7 +43,7 @@ pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareEr
         let skipped = footage.skipped.join("; ");
         let found = footage.cameras.len();
         return Err(PrepareError::Footage(format!(
-            "{found} camera with pictures was found, two are needed. {skipped}"
+            "two cameras with pictures are needed, {found} can be used. {skipped}"
         )));
     }
     if !(request.scale > 0.0 && request.scale <= 1.0) {
@@ -97,7 +97,7 @@ impl Rig {
             }
             Pictures::Files(files) => (files.len(), None),
         };
-        let name: String = source.name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
+        let name = plain_name(&source.name);
         Ok(RigCamera {
             sequence: Sequence { name: name.clone(), pictures, rate },
             name,
@@ -145,6 +145,11 @@ pub(crate) fn distorted(footage: &Footage) -> usize {
     footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
 }
 
+/// A camera's name as the capture spells it, where it is that of files.
+pub(crate) fn plain_name(name: &str) -> String {
+    name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect()
+}
+
 pub(crate) fn is_plain(c: char) -> bool {
     c.is_alphanumeric() || matches!(c, '-' | '_' | '.')
 }
@@ -172,13 +177,15 @@ pub(crate) fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<b
     let test: Vec<bool> = match &request.test {
         TestCameras::Every(n) => (0..cameras.len()).map(|i| i % n == 0).collect(),
         TestCameras::Named(names) => {
-            if let Some(unknown) = names.iter().find(|n| !cameras.iter().any(|c| c.name == **n)) {
+            let names: Vec<String> = names.iter().map(|name| plain_name(name)).collect();
+            let spelt: Vec<String> = cameras.iter().map(|camera| plain_name(&camera.name)).collect();
+            if let Some(unknown) = names.iter().find(|name| !spelt.contains(name)) {
                 let known = cameras.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ");
                 return Err(PrepareError::Footage(format!(
                     "--test names camera {unknown}; the cameras are {known}"
                 )));
             }
-            cameras.iter().map(|c| names.contains(&c.name)).collect()
+            spelt.iter().map(|name| names.contains(name)).collect()
         }
         TestCameras::Usual if said => cameras.iter().map(|c| c.role == Role::Test).collect(),
         TestCameras::Usual if cameras.len() >= ENOUGH_TO_HOLD_OUT => {
@@ -189,7 +196,8 @@ pub(crate) fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<b
     let train = test.iter().filter(|t| !**t).count();
     if train < 2 {
         return Err(PrepareError::Footage(format!(
-            "--test leaves {train} camera to reconstruct from, two are needed"
+            "--test leaves {} to reconstruct from, two are needed",
+            counted(train, "camera")
         )));
     }
     Ok(test)

@@ -1,5 +1,6 @@
 //! Which picture of each camera belongs to which frame.
 
+use crate::rig::plain_name;
 use crate::{PrepareError, Request};
 use ffgs_core::read_text;
 use std::collections::BTreeMap;
@@ -43,7 +44,7 @@ pub(crate) fn schedule(
         None => by_rate(sequences, request),
     };
     let all = schedule.frames.len();
-    let taken = schedule.frames.into_iter().skip(request.start).step_by(request.every.max(1));
+    let taken = schedule.frames.into_iter().skip(request.start).step_by(request.every.get());
     schedule.frames = taken.take(request.count.unwrap_or(usize::MAX)).collect();
     match request.count {
         Some(0) => Err(PrepareError::Footage("--count 0 takes no frame: it is the number of frames".into())),
@@ -93,7 +94,8 @@ fn read_timestamps(file: &Path, sequences: &[Sequence]) -> Result<Option<Table>,
 }
 
 fn check_offsets(sequences: &[Sequence], request: &Request) -> Result<(), PrepareError> {
-    let Some(unknown) = request.offsets.keys().find(|n| !sequences.iter().any(|s| s.name == **n)) else {
+    let is_known = |name: &str| sequences.iter().any(|s| s.name == plain_name(name));
+    let Some(unknown) = request.offsets.keys().find(|name| !is_known(name)) else {
         return Ok(());
     };
     let known = sequences.iter().map(|s| s.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -102,7 +104,8 @@ fn check_offsets(sequences: &[Sequence], request: &Request) -> Result<(), Prepar
 
 /// The picture of a camera that shows the moment of picture `i` (which may be negative), if the camera has one.
 fn shifted(sequence: &Sequence, i: i64, request: &Request) -> Option<usize> {
-    let offset = request.offsets.get(&sequence.name).copied().unwrap_or(0);
+    let offset = request.offsets.iter().find(|(name, _)| plain_name(name) == sequence.name);
+    let offset = offset.map_or(0, |(_, frames)| *frames);
     usize::try_from(i.checked_add(offset)?).ok().filter(|i| *i < sequence.pictures)
 }
 
@@ -178,7 +181,12 @@ mod tests {
     #[test]
     fn rates_and_offsets_pick_the_pictures() {
         let cameras = [sequence("a", 10, 30.0), sequence("b", 20, 60.0), sequence("c", 10, 30.0001)];
-        let request = Request { offsets: [("c".into(), 2)].into(), start: 1, every: 2, ..request() };
+        let request = Request {
+            offsets: [("c".into(), 2)].into(),
+            start: 1,
+            every: std::num::NonZeroUsize::new(2).unwrap(),
+            ..request()
+        };
         let schedule = schedule(&cameras, None, &request).unwrap();
         assert_eq!(schedule.frames, [[1, 2, 3], [3, 6, 5], [5, 10, 7], [7, 14, 9]]);
         assert!(schedule.assumed.iter().any(|a| a.contains("60.00")));

@@ -8,6 +8,7 @@ use ffgs_dataset::Capture;
 use ffgs_prepare::{Layout, Progress, Request, Step, TestCameras};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
@@ -43,8 +44,8 @@ pub struct PrepareArgs {
     #[arg(long, value_name = "N")]
     pub count: Option<usize>,
     /// Take every n-th frame
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub every: usize,
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub every: NonZeroUsize,
     /// Size of the capture's images in parts of the footage's
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub scale: f64,

@@ -17,6 +17,7 @@ use crate::beside::Beside;
 use crate::extraction::file_name;
 use crate::pictures::read_mask;
 use crate::{PrepareError, Progress};
+use ffgs_core::counted;
 use ffgs_dataset::{Capture, Split};
 use rounds::Rounds;
 use std::fs;
@@ -46,13 +47,17 @@ pub(crate) fn make(
     let views = views(capture)?;
     let fixed = views.iter().filter(|v| v.fixed).count();
     let plates = views.iter().filter(|v| v.fixed && beside.has_clean_plate(&v.name)).count();
-    if capture.frames() < LEAST_FRAMES && plates < 2 {
-        return Ok(format!("none: {} frames do not tell what moves; run with --init none", capture.frames()));
-    }
+    let learnable = if capture.frames() < LEAST_FRAMES { 0 } else { fixed - plates };
     if fixed < 2 {
         return Ok(format!(
             "none: {fixed} of {} cameras stand still, so there is no background to learn",
             views.len()
+        ));
+    }
+    if plates + learnable < 2 {
+        let frames = counted(capture.frames(), "frame");
+        return Ok(format!(
+            "none: {frames} cannot tell what moves, {LEAST_FRAMES} can; a run takes the scene for static"
         ));
     }
     let part = capture.root().join("seg.part");
@@ -61,7 +66,7 @@ pub(crate) fn make(
     let seg = capture.root().join("seg");
     fs::rename(&part, &seg).map_err(|e| PrepareError::io(&seg, e))?;
     contact_sheet::write(capture, &seg)?;
-    let source = made_from(plates, fixed, views.len());
+    let source = made_from(plates, learnable, views.len());
     let found = if are_empty(&seg, &views, capture.frames())? {
         ", and ALL EMPTY: nothing moves by enough to be told from what stands still, so that a run takes the scene for static"
     } else {
@@ -80,17 +85,19 @@ fn are_empty(seg: &Path, views: &[View], frames: usize) -> Result<bool, PrepareE
     Ok(true)
 }
 
-/// What the masks of `all` cameras were made from.
-fn made_from(plates: usize, fixed: usize, all: usize) -> String {
-    let source = match plates {
-        0 => format!("made from the background of {fixed} fixed cameras"),
-        _ if plates == fixed => format!("made from clean plates of {fixed} fixed cameras"),
-        _ => format!("made from clean plates of {plates} of {fixed} fixed cameras, else from the background"),
-    };
-    match all - fixed {
-        0 => source,
-        moving => format!("{source}, {moving} moving ones from the visual hull alone"),
-    }
+/// What the masks of `all` cameras were made from: of so many from clean plates, of so many from a background that was learnt.
+fn made_from(plates: usize, learnt: usize, all: usize) -> String {
+    let parts = [
+        (plates, "clean plates of", "fixed camera"),
+        (learnt, "the background of", "fixed camera"),
+        (all - plates - learnt, "the visual hull alone for", "other"),
+    ];
+    let parts: Vec<String> = parts
+        .iter()
+        .filter(|(cameras, ..)| *cameras > 0)
+        .map(|(cameras, of, what)| format!("{of} {}", counted(*cameras, what)))
+        .collect();
+    format!("made from {}", parts.join(", "))
 }
 
 fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {

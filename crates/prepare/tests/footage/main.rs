@@ -1,5 +1,8 @@
 //! A ball that rolls through a ring of cameras, from footage to a capture.
 
+mod again;
+mod videos;
+
 use ffgs_arrays::NpzFile;
 use ffgs_core::{Camera, ImageSize, Intrinsics};
 use ffgs_dataset::{Capture, Split, check};
@@ -8,8 +11,8 @@ use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
 use image::{Rgb, RgbImage};
 use std::f64::consts::PI;
 use std::fs;
+use std::num::NonZeroUsize;
 use std::path::Path;
-use std::process::Command;
 use tempfile::TempDir;
 
 const SIZE: ImageSize = ImageSize { width: 128, height: 96 };
@@ -170,7 +173,7 @@ fn pictures_become_a_capture_that_can_be_run_and_gone_on_with() {
     let before = (stamp("ims/cam_0/000000.png"), stamp("init_pt_cld.npz"));
     run(&Request { force: vec![Step::Points], ..request.clone() });
     assert!(stamp("ims/cam_0/000000.png") == before.0 && stamp("init_pt_cld.npz") > before.1);
-    let other = error(&Request { every: 2, ..request.clone() });
+    let other = error(&Request { every: NonZeroUsize::new(2).unwrap(), ..request.clone() });
     assert!(other.contains("every = 1") && other.contains('2'), "{other}");
 }
 
@@ -184,7 +187,7 @@ fn clean_plates_make_masks_of_a_single_frame() {
         picture(i, FAR_AWAY).save(plates.join(format!("CAM_{i}.png"))).unwrap();
     }
     let one = Request { start: 3, count: Some(1), ..request(&folder) };
-    assert!(run(&one).to_string().contains("none: 1 frames do not tell what moves"));
+    assert!(run(&one).to_string().contains("none: 1 frame cannot tell what moves"));
     let with = Request { clean_plates: Some(plates.clone()), ..one.clone() };
     assert!(error(&with).contains("--force masks"), "masks without clean plates stay");
     let again = Request { force: vec![Step::Masks], ..with.clone() };
@@ -201,6 +204,8 @@ fn clean_plates_make_masks_of_a_single_frame() {
     fs::copy(&wrong, nobody.path().join("unknown.png")).unwrap();
     let unnamed = Request { clean_plates: Some(nobody.path().to_owned()), ..again.clone() };
     assert!(error(&unnamed).contains("cam_0.png, for example"), "{}", error(&unnamed));
+    assert!(overlap(&capture, 3..4) > 0.9, "masks that cannot be made again stay");
+    assert!(run(&with).to_string().contains("made from clean plates of 6 fixed cameras"));
 
     fs::rename(&plates, folder.path().join("empty")).unwrap();
     let among = Request { clean_plates: Some(folder.path().join("empty")), ..again };
@@ -288,6 +293,12 @@ fn a_capture_written_for_other_tools_is_read_as_the_same_cameras() {
         }
         assert!(convert(&capture, layout, 1, out.path()).unwrap_err().to_string().contains("no frame 1"));
     }
+    fs::write(capture.points_path(), b"no archive").unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let damaged = convert(&capture, Layout::Colmap, 0, out.path()).unwrap_err().to_string();
+    assert!(damaged.contains("init_pt_cld.npz"), "{damaged}");
+    fs::remove_file(capture.points_path()).unwrap();
+    convert(&capture, Layout::Colmap, 0, out.path()).unwrap();
 }
 
 #[test]
@@ -305,34 +316,10 @@ fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
     assert!(error(&request).contains("64 x 48"));
     picture(2, 1).save(folder.path().join("cam_2/2.png")).unwrap();
     fs::remove_file(folder.path().join("cam_4/3.png")).unwrap();
-    assert!(error(&Request { count: Some(3), ..request.clone() }).contains("now 3"));
+    assert!(error(&Request { count: Some(3), ..request.clone() }).contains("now count = 3"));
     let summary = run(&request).to_string();
     assert!(summary.contains("2 to 3 pictures"), "{summary}");
     assert_eq!(Capture::open(&request.out).unwrap().frames(), 2);
-}
-
-#[test]
-fn another_calibration_is_told_and_read_when_pictures_are_made_again() {
-    let folder = footage(0, 2);
-    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
-    run(&request);
-    let file = folder.path().join("calibration.toml");
-    let pose =
-        |of: &Request| Capture::open(&of.out).unwrap().camera(Split::Train, 2, 0).unwrap().translation();
-    let before = pose(&request);
-    fs::write(&file, format!("# looked through\n{}", toml(|pose| pose))).unwrap();
-    run(&request);
-    fs::write(&file, toml(|pose| DMat4::from_translation(DVec3::Z) * pose)).unwrap();
-    let told = error(&request);
-    assert!(
-        told.contains("camera 'cam_0' was calibrated otherwise") && told.contains("--force pictures"),
-        "{told}"
-    );
-    run(&Request { force: vec![Step::Pictures], ..request.clone() });
-    assert!((pose(&request) - before).length() > 0.5, "{before}");
-    let all = fs::read_to_string(&file).unwrap();
-    fs::write(&file, all.split_once("[cam_5]").unwrap().0).unwrap();
-    assert!(error(&request).contains("camera 'cam_5' is no longer in the footage"));
 }
 
 #[test]
@@ -461,97 +448,4 @@ fn a_network_tracks_beside_the_others_and_can_be_added_later() {
         ["mine", "descriptors", "lucas_kanade", "blocks"].iter().all(|name| list.contains(name)),
         "{list}"
     );
-}
-
-/// Needs ffmpeg, which the project's set-up for tests installs.
-#[test]
-fn videos_are_read_frame_by_frame() {
-    let folder = footage(0, FRAMES);
-    for i in 0..CAMERAS {
-        let pictures = folder.path().join(format!("cam_{i}"));
-        encode(&pictures, &folder.path().join(format!("cam_{i}.mkv")));
-        fs::remove_dir_all(pictures).unwrap();
-    }
-    let request = Request {
-        start: 1,
-        every: 2,
-        scale: 0.5,
-        offsets: [("cam_1".to_owned(), 1)].into(),
-        only: vec![Step::Pictures],
-        ..request(&folder)
-    };
-    let summary = run(&request).to_string();
-    assert!(summary.contains("6 videos") && summary.contains("64 x 48"), "{summary}");
-    let capture = Capture::open(&request.out).unwrap();
-    // Frames 1, 3 and 5; 7 lacks camera 1, which began one frame early.
-    assert_eq!(capture.frames(), 3);
-    for (view, index, frame, shown) in [(0, 0, 1, 3), (1, 1, 1, 4)] {
-        let found = capture.load_image(Split::Train, view, frame).unwrap();
-        let wanted = picture(index, shown);
-        for (x, y) in [(3, 5), (30, 20), (50, 40)] {
-            let mean = |c: usize| -> f64 {
-                let four = [(0, 0), (1, 0), (0, 1), (1, 1)];
-                four.iter().map(|(u, v)| f64::from(wanted.get_pixel(2 * x + u, 2 * y + v).0[c])).sum::<f64>()
-                    / 4.0
-            };
-            let at = (y as usize * 64 + x as usize) * 3;
-            for c in 0..3 {
-                assert!((f64::from(found.data()[at + c]) - mean(c)).abs() <= 1.0, "camera {index} {x} {y}");
-            }
-        }
-    }
-    fs::write(folder.path().join("cam_5.mkv"), b"no video").unwrap();
-    let broken = error(&Request { out: folder.path().join("other"), ..request.clone() });
-    assert!(broken.contains("cam_5.mkv"), "{broken}");
-}
-
-/// Calibrations of OpenCV seldom tell the size of the pictures: it is that of the videos.
-#[test]
-fn opencv_calibrations_of_videos_have_their_size() {
-    let folder = footage(0, FRAMES);
-    fs::remove_file(folder.path().join("calibration.toml")).unwrap();
-    let calibrate = |i: usize, cx: f64| {
-        let camera = camera(i);
-        let Intrinsics { fx, fy, cy, .. } = camera.intrinsics();
-        let numbers = |name: &str, values: &[f64]| {
-            let words: Vec<String> = values.iter().map(f64::to_string).collect();
-            format!("<{name} type_id=\"opencv-matrix\"><data>{}</data></{name}>", words.join(" "))
-        };
-        let pose = camera.camera_from_world();
-        let all = [
-            numbers("CameraMatrix", &[fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]),
-            numbers("RotationMatrix", &DMat3::from_mat4(pose).transpose().to_cols_array()),
-            numbers("TranslationVector", &pose.w_axis.truncate().to_array()),
-        ];
-        let text = format!("<?xml version=\"1.0\"?><opencv_storage>{}</opencv_storage>", all.concat());
-        fs::write(folder.path().join(format!("cam_{i}/config.xml")), text).unwrap();
-    };
-    for i in 0..CAMERAS {
-        let home = folder.path().join(format!("cam_{i}"));
-        encode(&home, &folder.path().join("video.mkv"));
-        fs::remove_dir_all(&home).unwrap();
-        fs::create_dir(&home).unwrap();
-        fs::rename(folder.path().join("video.mkv"), home.join("video.mkv")).unwrap();
-        fs::write(home.join("background.mkv"), b"not looked at").unwrap();
-        calibrate(i, 64.0);
-    }
-    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
-    let summary = run(&request).to_string();
-    assert!(summary.contains("6 videos") && summary.contains("background.mkv beside it"), "{summary}");
-    let capture = Capture::open(&request.out).unwrap();
-    let found = capture.camera(Split::Train, 1, 0).unwrap();
-    assert_eq!(found.size(), SIZE);
-    assert!((found.center() - camera(1).center()).length() < 1e-6);
-    assert!((found.intrinsics().cx - 64.0).abs() < 0.01, "{:?}", found.intrinsics());
-    calibrate(2, 300.0);
-    let stray = error(&Request { out: folder.path().join("other"), ..request });
-    assert!(stray.contains("'cam_2'") && stray.contains("128 x 96"), "{stray}");
-}
-
-/// Without loss, in RGB.
-fn encode(pictures: &Path, video: &Path) {
-    let mut ffmpeg = Command::new("ffmpeg");
-    ffmpeg.args(["-v", "error", "-framerate", "30", "-i"]).arg(pictures.join("%d.png"));
-    let status = ffmpeg.args(["-c:v", "ffv1", "-pix_fmt", "bgr0"]).arg(video).status();
-    assert!(status.expect("ffmpeg is installed by cargo xtask ci").success());
 }
