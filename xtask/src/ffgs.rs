@@ -26,7 +26,18 @@ const FFGS: Program = Program {
 const LAB: Program = Program {
     package: "ffgs-lab",
     name: "ffgs-lab",
-    commands: &["motion-eval", "mask-eval", "simulate", "ablations", "compare", "synthetic", "enlarge"],
+    commands: &[
+        "motion-eval",
+        "mask-eval",
+        "simulate",
+        "ablations",
+        "compare",
+        "synthetic",
+        "enlarge",
+        "expose",
+        "later",
+        "markers",
+    ],
 };
 
 /// `cargo xtask pipeline`: `ffgs run` on the sample capture or on the given one.

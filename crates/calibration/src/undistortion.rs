@@ -25,15 +25,18 @@ pub struct Undistortion {
 impl Undistortion {
     /// The widest pinhole view whose every pixel the photograph shows; the principal point and the ratio of the focal
     /// lengths stay. A lens without distortion only changes its size.
-    pub fn new(lens: Lens, size: ImageSize) -> Self {
+    ///
+    /// # Errors
+    /// When even the narrowest view shows places that the photograph does not: the coefficients are those of no lens.
+    pub fn new(lens: Lens, size: ImageSize) -> Result<Self, String> {
         let reduced = lens.resized(size).intrinsics;
         let samples = (lens.size.width as f64 / size.width as f64).round().max(1.0) as usize;
         let valid_radius = lens.distortion.valid_radius();
         let mut map = Self { lens, pinhole: reduced, size, samples, valid_radius };
         if lens.distortion != crate::Distortion::None {
-            map.zoom_until_filled(reduced);
+            map.zoom_until_filled(reduced)?;
         }
-        map
+        Ok(map)
     }
 
     /// Intrinsics of the new image.
@@ -102,14 +105,24 @@ impl Undistortion {
         Some(sum.map(|s| s / (self.samples * self.samples) as f32))
     }
 
-    fn zoom_until_filled(&mut self, reduced: Intrinsics) {
+    /// # Errors
+    /// When even the narrowest view is not filled.
+    fn zoom_until_filled(&mut self, reduced: Intrinsics) -> Result<(), String> {
         let (mut low, mut high) = ZOOM;
+        self.pinhole = zoomed(reduced, high);
+        if !self.is_filled() {
+            return Err(format!(
+                "{:?} is the distortion of no lens: undistorted, even the middle of the picture, {high} times enlarged, would have a black border",
+                self.lens.distortion
+            ));
+        }
         for _ in 0..40 {
             let middle = f64::midpoint(low, high);
             self.pinhole = zoomed(reduced, middle);
             if self.is_filled() { high = middle } else { low = middle }
         }
         self.pinhole = zoomed(reduced, high);
+        Ok(())
     }
 
     fn is_filled(&self) -> bool {
@@ -181,7 +194,7 @@ mod tests {
             Distortion::fisheye(&[0.02, -0.01, 0.0, 0.0]).unwrap(),
         ] {
             let lens = lens(distortion);
-            let map = Undistortion::new(lens, SIZE);
+            let map = Undistortion::new(lens, SIZE).unwrap();
             let (image, valid) = map.apply(&photograph(&lens, |p| undistorted(distortion, p)));
             assert_eq!(valid.count(), SIZE.pixels(), "{distortion:?}");
             let Intrinsics { fx, fy, cx, cy } = map.intrinsics();
@@ -197,17 +210,34 @@ mod tests {
 
     #[test]
     fn no_wider_view_would_be_filled() {
-        let map = Undistortion::new(lens(Distortion::opencv(&[0.2, 0.0, 0.0, 0.0]).unwrap()), SIZE);
+        let map = Undistortion::new(lens(Distortion::opencv(&[0.2, 0.0, 0.0, 0.0]).unwrap()), SIZE).unwrap();
         let mut wider = map.clone();
         wider.pinhole = zoomed(map.pinhole, 0.99);
         assert!(map.is_filled() && !wider.is_filled());
+    }
+
+    /// The pictures of the former have content everywhere; of the latter not even their middle would.
+    #[test]
+    fn a_lens_whose_pictures_would_have_a_black_border_is_refused() {
+        for k1 in [-0.3, -1.0] {
+            let map = Undistortion::new(lens(Distortion::simple_radial(k1, 0.0).unwrap()), SIZE).unwrap();
+            let picture = ImageRgb8::new(SIZE, vec![200; SIZE.pixels() * 3]).unwrap();
+            let (image, valid) = map.apply(&picture);
+            assert_eq!((valid.count(), image), (SIZE.pixels(), picture), "{k1}");
+        }
+        for distortion in
+            [Distortion::simple_radial(-80.0, 0.0), Distortion::fisheye(&[-60.0, 0.0, 0.0, 0.0])]
+        {
+            let error = Undistortion::new(lens(distortion.unwrap()), SIZE).unwrap_err();
+            assert!(error.contains("black border"), "{error}");
+        }
     }
 
     #[test]
     fn a_pinhole_stays_as_it_is() {
         let lens = lens(Distortion::None);
         let picture = photograph(&lens, |p| p);
-        let map = Undistortion::new(lens, SIZE);
+        let map = Undistortion::new(lens, SIZE).unwrap();
         assert_eq!(map.intrinsics(), lens.intrinsics);
         assert_eq!(map.apply(&picture).0, picture);
     }
@@ -219,10 +249,10 @@ mod tests {
         let lens = Lens { intrinsics, distortion: Distortion::None, size };
         let grey = [0_u8, 40, 100, 100, 20, 60, 200, 40].iter().flat_map(|v| [*v; 3]).collect();
         let picture = ImageRgb8::new(size, grey).unwrap();
-        let (half, _) = Undistortion::new(lens, ImageSize { width: 2, height: 1 }).apply(&picture);
+        let (half, _) = Undistortion::new(lens, ImageSize { width: 2, height: 1 }).unwrap().apply(&picture);
         assert_eq!(half.data(), [30, 30, 30, 110, 110, 110]);
         let mask = Mask::new(size, vec![1, 0, 0, 0, 1, 0, 1, 0]).unwrap();
-        let halved = Undistortion::new(lens, ImageSize { width: 2, height: 1 }).apply_to_mask(&mask);
+        let halved = Undistortion::new(lens, ImageSize { width: 2, height: 1 }).unwrap().apply_to_mask(&mask);
         assert_eq!(halved.data(), [1, 0]);
     }
 }

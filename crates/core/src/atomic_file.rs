@@ -12,7 +12,7 @@ const BUFFER: usize = 1 << 18;
 /// where the system can say so. Missing parent folders are created. On an error the temporary file is removed.
 ///
 /// # Errors
-/// When the file cannot be written or renamed, or `write` fails; nothing is left under its name then.
+/// When the file cannot be written or renamed, or `write` fails; what was there before stays then.
 pub fn write_atomically<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,

@@ -3,7 +3,7 @@
 use crate::error::DatasetError;
 use crate::meta::{Entry, Meta, View};
 use crate::{origin, pixels, points};
-use ffgs_core::{Camera, ImageRgb8, Mask, is_present};
+use ffgs_core::{Camera, ImageRgb8, Mask, counted, is_present};
 use ffgs_method::{Points, Split};
 use glam::DVec3;
 use std::io;
@@ -49,7 +49,8 @@ impl Capture {
         let test = Meta::read_optional(&file(Split::Test))?;
         let init = Meta::read_optional(&file(Split::Init))?;
         if !test.entries.is_empty() && test.entries.len() != train.entries.len() {
-            let reason = format!("{} frames, train has {}", test.entries.len(), train.entries.len());
+            let reason =
+                format!("{}, train has {}", counted(test.entries.len(), "frame"), train.entries.len());
             return Err(DatasetError::Meta { file: file(Split::Test), reason });
         }
         let splits = [train, test, init];

@@ -1,7 +1,7 @@
 //! The camera lists.
 
 use crate::error::DatasetError;
-use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, is_present, read_text};
+use ffgs_core::{Camera, CameraError, ImageSize, Intrinsics, counted, is_present, nan_to_null, read_text};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
 use std::path::Path;
@@ -127,7 +127,11 @@ impl MetaFile {
     fn frame(&self, t: usize, views: &[View]) -> Result<Vec<Entry>, String> {
         let here = self.views(t);
         if here.len() != views.len() {
-            return Err(format!("frame {t} has {} cameras, frame 0 has {}", here.len(), views.len()));
+            return Err(format!(
+                "frame {t} has {}, frame 0 has {}",
+                counted(here.len(), "camera"),
+                views.len()
+            ));
         }
         (0..views.len()).map(|view| self.entry(t, views, view, &here)).collect()
     }
@@ -146,7 +150,7 @@ impl MetaFile {
         let size = ImageSize { width, height };
         let file_name = self.file_names[t][c].clone();
         if !is_inside(&file_name) {
-            return Err(format!("file name {file_name:?} must be CAMERA/FRAME.png"));
+            return Err(format!("file name {file_name:?} must be CAMERA/FRAME.png, in one folder"));
         }
         let skew = number(self.k[t][c][0][1]);
         // A thousandth of the focal length moves no pixel of the image by as much as one.
@@ -179,27 +183,11 @@ fn folder(file_name: &str) -> &str {
     file_name.rsplit_once('/').map_or("", |(folder, _)| folder)
 }
 
-/// A relative path with a folder that does not leave the capture.
+/// A file in one folder that does not leave the capture. Folders in folders are refused: a run writes pictures below the
+/// names of its views, and looks for links in the first folder only.
 fn is_inside(file_name: &str) -> bool {
-    let mut parts = file_name.split('/');
-    file_name.contains('/')
+    let parts: Vec<&str> = file_name.split('/').collect();
+    parts.len() == 2
         && !file_name.contains('\\')
-        && parts.all(|p| !p.is_empty() && p != "." && p != "..")
-}
-
-/// Python's json writes NaN and Infinity bare; outside strings they become null.
-fn nan_to_null(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for (i, part) in text.split('"').enumerate() {
-        let separator = if i == 0 { "" } else { "\"" };
-        out.push_str(separator);
-        if i % 2 == 0 && (part.contains('N') || part.contains('I')) {
-            out.push_str(
-                &part.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null"),
-            );
-        } else {
-            out.push_str(part);
-        }
-    }
-    out
+        && parts.iter().all(|p| !p.is_empty() && *p != "." && *p != "..")
 }

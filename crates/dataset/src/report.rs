@@ -1,6 +1,6 @@
 //! What the check of a capture found: its inventory, its faults, and notes on what the method can go on without.
 
-use ffgs_core::ImageSize;
+use ffgs_core::{ImageSize, counted};
 use ffgs_method::{Fault, Split};
 use std::fmt;
 use std::path::PathBuf;
@@ -86,7 +86,7 @@ impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "Capture {}", self.root.display())?;
         for SplitSummary { split, views, frames } in &self.splits {
-            writeln!(f, "  {split:5} {views} views, {frames} frames")?;
+            writeln!(f, "  {split:5} {}, {}", counted(*views, "view"), counted(*frames, "frame"))?;
         }
         writeln!(f, "  points {}, foreground {}", self.points, self.foreground_points)?;
         self.fmt_views(f)?;
@@ -98,7 +98,7 @@ impl fmt::Display for CheckReport {
         }
         match self.faults.len() {
             0 => writeln!(f, "no faults"),
-            n => writeln!(f, "{n} fault{}", if n == 1 { "" } else { "s" }),
+            n => writeln!(f, "{}", counted(n, "fault")),
         }
     }
 }

@@ -230,6 +230,21 @@ fn a_meta_file_of_another_form_is_an_error() {
 }
 
 #[test]
+fn a_view_is_one_folder() {
+    let folder = capture();
+    edit(folder.path(), "a/000000.png", "Infinity_room/000000.png");
+    edit(folder.path(), "a/000001.png", "Infinity_room/000001.png");
+    edit(folder.path(), "[0,0,1,2]", "[0,0,NaN,2]");
+    let named = Capture::open(folder.path()).unwrap();
+    assert_eq!(named.views(Split::Train)[0].name, "Infinity_room", "a name with a number that is none");
+    assert!(named.camera(Split::Train, 0, 0).is_err() && named.camera(Split::Train, 1, 0).is_ok());
+
+    edit(folder.path(), "Infinity_room/000000.png", "Infinity_room/left/000000.png");
+    let error = Capture::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("Infinity_room/left/000000.png") && error.contains("in one folder"), "{error}");
+}
+
+#[test]
 fn points_not_finite_missing_or_unseen_are_told() {
     let folder = capture();
     write_points(

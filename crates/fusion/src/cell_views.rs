@@ -5,10 +5,9 @@
 //! known, however smooth errors are over the surface and however many trackers share them.
 
 use crate::evidence::robust_weight;
-use crate::process_noise::median;
 use crate::rigid::RigidMotion;
 use crate::symmetric::Symmetric;
-use ffgs_core::{Camera, Observations};
+use ffgs_core::{Camera, Observations, median};
 use glam::{DVec2, DVec3};
 
 /// What the views show at time t, before it is triangulated.
@@ -114,7 +113,7 @@ impl Departing {
             (out.offset, out.cofactor) = (all.solve(), all.a.inverse());
             let count = out.views.len() as f64;
             let squares = |v: &View| (v.residual - v.shown(out.offset)).length_squared();
-            let typical = median(&mut out.views.iter().map(squares).collect::<Vec<_>>())?;
+            let typical = median(out.views.iter().map(squares))?;
             // The median of two squared standard normal numbers is 2 ln 2; three parameters were fitted.
             let spared = 2.0 * count / (2.0 * count - 3.0);
             out.variance = spared * typical / (2.0 * std::f64::consts::LN_2);
@@ -179,7 +178,7 @@ impl ViewObservations<'_> {
             return None;
         }
         let centre = places.iter().map(|p| p.1).sum::<DVec3>() / places.len() as f64;
-        let [x, y] = residuals.map(|mut axis: Vec<f64>| median(&mut axis));
+        let [x, y] = residuals.map(median);
         Some(View { jacobian: camera.pixel_derivative(centre)?, residual: DVec2::new(x?, y?) })
     }
 }

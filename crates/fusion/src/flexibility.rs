@@ -5,8 +5,8 @@
 use crate::cell_views::Departing;
 use crate::groups::Groups;
 use crate::prediction::Departures;
-use crate::process_noise::median;
 use crate::symmetric::Symmetric;
+use ffgs_core::median;
 
 /// What one frame says of every Gaussian's flexibility, columns of length N.
 pub(crate) struct Flexibility {
@@ -63,8 +63,8 @@ impl Flexibility {
     }
 
     fn judge(&mut self, cells: &[Cell], remembered: Option<&[f64]>) {
-        let mut variances: Vec<f64> = cells.iter().filter_map(|c| Some(c.departing?.variance)).collect();
-        let variance = median(&mut variances).unwrap_or(0.0).max(LEAST_NOISE * LEAST_NOISE);
+        let variances: Vec<f64> = cells.iter().filter_map(|c| Some(c.departing?.variance)).collect();
+        let variance = median(variances).unwrap_or(0.0).max(LEAST_NOISE * LEAST_NOISE);
         let own = |c: &Cell| c.departing.map_or(0.0, |d| d.evidence(variance).clamp(-MOST, MOST) + c.shown);
         let own: Vec<f64> = cells.iter().map(own).collect();
         let doubt = doubt(cells, variance);

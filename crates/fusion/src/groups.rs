@@ -8,10 +8,10 @@ use crate::cells::{Cells, bounds};
 use crate::evidence::{Evidence, MEDIAN_CHI2, MEDIAN_LENGTH};
 use crate::members::Members;
 use crate::motion_fit::{MotionFit, fit_motion, jackknife, place_covariance};
-use crate::process_noise::median;
 use crate::rigid::RigidMotion;
 use crate::symmetric::Symmetric;
 use crate::votes::{Voter, Votes};
+use ffgs_core::median;
 use glam::{DQuat, DVec3};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
@@ -187,13 +187,12 @@ fn shared_noise(leaves: &[std::ops::Range<usize>], voters: &[Option<Voter>], pro
     let factor = |(range, motion): &Proposal| {
         let first = leaves.partition_point(|l| l.start < range.start);
         let last = leaves.partition_point(|l| l.start < range.end);
-        let mut distances: Vec<f64> =
-            voters[first..last].iter().flatten().map(|v| v.distance(motion)).collect();
+        let distances: Vec<f64> = voters[first..last].iter().flatten().map(|v| v.distance(motion)).collect();
         let enough = NOISE_CELLS.contains(&distances.len());
-        enough.then(|| median(&mut distances)).flatten().map(|m| m / MEDIAN_CHI2)
+        enough.then(|| median(distances)).flatten().map(|m| m / MEDIAN_CHI2)
     };
-    let mut factors: Vec<f64> = proposals.iter().filter_map(factor).collect();
-    median(&mut factors).unwrap_or(1.0).max(1.0)
+    let factors: Vec<f64> = proposals.iter().filter_map(factor).collect();
+    median(factors).unwrap_or(1.0).max(1.0)
 }
 
 /// Fewest measured Gaussians of a cell with a vote.
@@ -235,8 +234,7 @@ impl<'a> Search<'a> {
         let mut voters: Vec<Option<Voter>> = cells.leaves.par_iter().map(voter).collect();
         let proposals: Vec<Proposal> = cells.nodes.par_iter().filter_map(proposal).collect();
         // Few estimates that happen to agree, or share their error, are no surer than those of other cells.
-        let typical =
-            median(&mut voters.iter().flatten().map(Voter::scale).collect::<Vec<_>>()).unwrap_or(1.0);
+        let typical = median(voters.iter().flatten().map(Voter::scale)).unwrap_or(1.0);
         voters.iter_mut().flatten().for_each(|v| v.inflate((typical / v.scale()).max(1.0)));
         let noise = shared_noise(&cells.leaves, &voters, &proposals);
         voters.iter_mut().flatten().for_each(|v| v.inflate(noise));
@@ -304,8 +302,8 @@ impl<'a> Search<'a> {
             let voter = self.voters[c].as_ref()?;
             Some((fit.motion.apply(voter.centre) - voter.place).length())
         };
-        let mut deviations: Vec<f64> = cells.iter().filter_map(deviation).collect();
-        let sigma = median(&mut deviations)? / MEDIAN_LENGTH;
+        let deviations: Vec<f64> = cells.iter().filter_map(deviation).collect();
+        let sigma = median(deviations)? / MEDIAN_LENGTH;
         let spread = sigma * sigma;
         let shared = spread / self.config.patches.clamp(1.0, cells.len().max(1) as f64);
         let (motion, scales, count) = (fit.motion, fit.scales, cells.len());
@@ -317,7 +315,7 @@ impl<'a> Search<'a> {
     /// Typical variance per axis of one Gaussian's combined estimate (m^2).
     fn single_variance(&self, cells: &[usize], scales: &[f64]) -> Option<f64> {
         let variance = |&i: &usize| Some(self.evidence.combined(i, scales)?.covariance.trace() / 3.0);
-        median(&mut self.members(cells).par_iter().filter_map(variance).collect::<Vec<_>>())
+        median(self.members(cells).par_iter().filter_map(variance).collect::<Vec<_>>())
     }
 
     /// Every cell joins a group: its own, or the one with the nearest cell.
@@ -396,15 +394,15 @@ fn fit_from_median(evidence: &Evidence, previous: &[DVec3], members: &[usize]) -
         return None;
     }
     let members = Members::new(evidence, previous, members);
-    let axis = |a: usize| median(&mut members.steps(a));
+    let axis = |a: usize| median(members.steps(a));
     let step = DVec3::new(axis(0)?, axis(1)?, axis(2)?);
     fit_motion(&members, RigidMotion { centre: members.centre, rotation: DQuat::IDENTITY, step })
 }
 
 /// For every box those no farther away than `reach` typical diagonals.
 pub(crate) fn adjacency(boxes: &[(DVec3, DVec3)], reach: f64) -> Vec<Vec<usize>> {
-    let mut diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
-    let limit = reach * median(&mut diagonals).unwrap_or(0.0);
+    let diagonals: Vec<f64> = boxes.iter().map(|b| (b.1 - b.0).length()).collect();
+    let limit = reach * median(diagonals).unwrap_or(0.0);
     let gap2 =
         |a: &(DVec3, DVec3), b: &(DVec3, DVec3)| (a.0 - b.1).max(b.0 - a.1).max(DVec3::ZERO).length_squared();
     let near = |a: usize| {

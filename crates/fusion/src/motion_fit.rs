@@ -3,9 +3,9 @@
 use crate::evidence::{Evidence, MEDIAN_CHI2, MIN_SCALE};
 use crate::members::{Members, Residuals};
 use crate::normal::Normal;
-use crate::process_noise::median;
 use crate::rigid::RigidMotion;
 use crate::symmetric::Symmetric;
+use ffgs_core::median;
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
@@ -55,7 +55,7 @@ fn noise_scales(residuals: &Residuals, trackers: usize) -> Vec<f64> {
     let mut distances = Vec::new();
     let scale = |l: usize| {
         residuals.distances(l, &mut distances);
-        (median(&mut distances).unwrap_or(MEDIAN_CHI2) / MEDIAN_CHI2).max(MIN_SCALE)
+        (median(distances.iter().copied()).unwrap_or(MEDIAN_CHI2) / MEDIAN_CHI2).max(MIN_SCALE)
     };
     (0..trackers).map(scale).collect()
 }

@@ -2,8 +2,8 @@
 
 use crate::error::FusionError;
 use crate::evidence::{MEDIAN_CHI2, MEDIAN_LENGTH, MIN_SCALE};
-use crate::process_noise::median;
 use crate::rigid::{RigidMotion, fit_rigid};
+use ffgs_core::median;
 use glam::{DMat3, DQuat, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -172,8 +172,7 @@ impl<'a> Cloud<'a> {
         let from: Vec<DVec3> = near.iter().map(|&j| self.previous[j]).collect();
         let to: Vec<DVec3> = near.iter().map(|&j| self.means[j]).collect();
         let base = self.base_weights(&near)?;
-        let axis =
-            |a: usize| median(&mut from.iter().zip(&to).map(|(f, t)| (*t - *f)[a]).collect::<Vec<_>>());
+        let axis = |a: usize| median(from.iter().zip(&to).map(|(f, t)| (*t - *f)[a]));
         let step = DVec3::new(axis(0)?, axis(1)?, axis(2)?);
         let mut motion = RigidMotion { centre: self.previous[i], rotation: DQuat::IDENTITY, step };
         let (mut weights, mut scale) = (base.clone(), 0.0);
@@ -181,7 +180,7 @@ impl<'a> Cloud<'a> {
         for _ in 0..ROUNDS {
             let lengths: Vec<f64> =
                 from.iter().zip(&to).map(|(&f, &t)| (t - motion.apply(f)).length()).collect();
-            scale = (median(&mut lengths.clone())? / MEDIAN_LENGTH).max(1e-9);
+            scale = (median(lengths.iter().copied())? / MEDIAN_LENGTH).max(1e-9);
             for (k, r) in lengths.iter().enumerate() {
                 inlier[k] = (1.0 + (r / (3.0 * scale)).powi(2)).powi(-2);
                 weights[k] = base[k] * inlier[k];
@@ -199,7 +198,7 @@ impl<'a> Cloud<'a> {
     /// Precise measurements count more, but none dominates.
     fn base_weights(&self, near: &[usize]) -> Option<Vec<f64>> {
         let traces: Vec<f64> = near.iter().map(|&j| trace(&self.covariances[j])).collect();
-        let typical = median(&mut traces.clone())?.max(1e-18);
+        let typical = median(traces.iter().copied())?.max(1e-18);
         Some(traces.iter().map(|t| typical / (typical + t)).collect())
     }
 
@@ -214,7 +213,7 @@ impl<'a> Cloud<'a> {
         let misfit = |seed: &Seed| {
             let lengths =
                 compared.iter().map(|&j| (self.means[j] - seed.motion.apply(self.previous[j])).length());
-            median(&mut lengths.collect::<Vec<_>>()).unwrap_or(0.0).max(1e-9)
+            median(lengths).unwrap_or(0.0).max(1e-9)
         };
         let misfits: Vec<f64> = near.iter().map(|s| misfit(s)).collect();
         let least = misfits.iter().copied().fold(f64::INFINITY, f64::min);
@@ -232,9 +231,9 @@ impl<'a> Cloud<'a> {
             let e = self.means[i] - predictions[i].place;
             e.dot(self.covariances[i].inverse() * e)
         };
-        let mut distances: Vec<f64> =
+        let distances: Vec<f64> =
             self.donors.par_iter().filter(|&&i| wanted[i]).map(distance).filter(|d| d.is_finite()).collect();
-        (median(&mut distances).unwrap_or(0.0) / MEDIAN_CHI2).max(MIN_SCALE)
+        (median(distances).unwrap_or(0.0) / MEDIAN_CHI2).max(MIN_SCALE)
     }
 
     /// Factor on the prior's variance of a Gaussian whose own evidence contradicts it: it is free to leave.

@@ -1,27 +1,12 @@
 //! The process noise, learnt per frame: how far Gaussians went from where the prior expected them.
 
-use ffgs_core::{EstimateStatus, Estimates};
+use ffgs_core::{EstimateStatus, Estimates, median};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// The median as numpy defines it (mean of the two middle values); `None` of nothing.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let half = values.len() / 2;
-    let (_, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
-    if values.len() % 2 == 1 {
-        return Some(upper);
-    }
-    let lower = values[..half].iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    Some(0.5 * (lower + upper))
-}
-
 /// Median distance of the successful estimates from where the prior expects the Gaussian (m); `None` without any.
 pub(crate) fn median_displacement(predicted: &[DVec3], estimates: &[Estimates]) -> Option<f64> {
-    let mut all: Vec<f64> = displacements(predicted, estimates).map(|(_, d)| d).collect();
-    median(&mut all)
+    median(displacements(predicted, estimates).map(|(_, d)| d))
 }
 
 /// [`median_displacement`] within each group.
@@ -30,7 +15,7 @@ pub(crate) fn per_group(predicted: &[DVec3], estimates: &[Estimates], groups: &[
     for (i, d) in displacements(predicted, estimates) {
         all.entry(groups[i]).or_default().push(d);
     }
-    all.into_iter().filter_map(|(group, mut values)| Some((group, median(&mut values)?))).collect()
+    all.into_iter().filter_map(|(group, values)| Some((group, median(values)?))).collect()
 }
 
 fn displacements<'a>(

@@ -10,8 +10,8 @@ use crate::input::FusionInput;
 use crate::neighbourhoods::{COMPARED, local_rigid_motion};
 use crate::prediction::Departures;
 use crate::prior::Prior;
-use crate::process_noise::median;
 use crate::symmetric::Symmetric;
+use ffgs_core::median;
 use glam::{DMat3, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -229,7 +229,7 @@ fn judge(own: DVec3, neighbours: impl Iterator<Item = Combined>) -> Option<Devia
     if 2 * (siding.len() - 1) <= all {
         return None;
     }
-    let axis = |a: usize| median(&mut siding.iter().map(|o| o[a]).collect::<Vec<_>>()).unwrap_or(0.0);
+    let axis = |a: usize| median(siding.iter().map(|o| o[a])).unwrap_or(0.0);
     let offset = DVec3::new(axis(0), axis(1), axis(2));
     let squares: f64 = siding.iter().map(|o| o.distance_squared(offset)).sum();
     Some(Deviation { offset, variance: squares / (3 * siding.len()) as f64 })

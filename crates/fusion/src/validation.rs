@@ -1,9 +1,8 @@
 //! Validation by masks: a Gaussian of the dynamic layer has to lie in the masks of the views that see it (Algorithm 1, lines 35 to 40).
 
 use crate::error::FusionError;
-use crate::process_noise::median;
 use crate::view_counts::{ViewCounts, count_views};
-use ffgs_core::{Camera, Mask};
+use ffgs_core::{Camera, Mask, median};
 use glam::{DMat3, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -180,8 +179,7 @@ pub fn second_chance(
         let nearest = tree.query(&local(i)).nearest_n::<SquaredEuclidean<f64>>(k).execute();
         let near: Vec<usize> = nearest.iter().map(|n| donors[n.item as usize]).collect();
         let steps: Vec<DVec3> = near.iter().map(|&j| means[j] - previous[j]).collect();
-        let middle =
-            |axis: usize| median(&mut steps.iter().map(|s| s[axis]).collect::<Vec<_>>()).unwrap_or(0.0);
+        let middle = |axis: usize| median(steps.iter().map(|s| s[axis])).unwrap_or(0.0);
         let (step, count) = (DVec3::new(middle(0), middle(1), middle(2)), near.len() as f64);
         let scatter = steps.iter().map(|s| s.distance_squared(step)).sum::<f64>() / (3.0 * count);
         let around = near.iter().fold(DMat3::ZERO, |sum, &j| sum + covariances[j]) * count.recip();

@@ -23,8 +23,14 @@ fn ffgs(words: &[&str], run: &Path) -> Command {
 }
 
 fn run(out: &Path, more: &[&str]) {
+    succeeds(&mut run_command(out, more));
+}
+
+fn run_command(out: &Path, more: &[&str]) -> Command {
     let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes/fairmont-mini");
-    succeeds(ffgs(&["run", "--out"], out).arg(sample).args(FEW).args(more));
+    let mut command = ffgs(&["run", "--out"], out);
+    command.arg(sample).args(FEW).args(more);
+    command
 }
 
 /// What it said on the standard error.
@@ -62,6 +68,20 @@ fn a_thinned_run_goes_on_is_measured_and_exported_and_says_what_is_missing() {
             "frame {frame}"
         );
     }
+    // As killed after frame 4 was finished, before frame 3 was thinned.
+    let [whole, thinned] = [&all, &thin].map(|run| run.join("frames/000003"));
+    for file in fs::read_dir(whole).unwrap().map(|entry| entry.unwrap().path()).filter(|file| file.is_file())
+    {
+        fs::copy(&file, thinned.join(file.file_name().unwrap())).unwrap();
+    }
+    fs::remove_file(thinned.join("thinned")).unwrap();
+    run(&thin, &["--frames", "0..5", "--keep", "2", "--resume"]);
+    assert_eq!(kept(&thin), [0, 2, 4]);
+    let shorter = run_command(&thin, &["--frames", "0..4", "--keep", "2", "--resume"]).output().unwrap();
+    let said = String::from_utf8(shorter.stderr).unwrap();
+    assert!(!shorter.status.success() && said.contains("Gaussians of frame 3 (--keep)"), "{said}");
+    let described = fs::read_to_string(thin.join("run.json")).unwrap();
+    assert!(described.contains("\"end\": 5"), "{described}");
 
     succeeds(&mut ffgs(&["eval", "--quiet", "--device", "cpu"], &thin));
     let metrics: serde_json::Value =
@@ -70,7 +90,7 @@ fn a_thinned_run_goes_on_is_measured_and_exported_and_says_what_is_missing() {
     assert_eq!(frames.iter().map(|f| f["frame"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
     assert!(frames[1]["views"][0]["psnr"].as_f64().is_some() && thin.join("report.html").is_file());
     let said = succeeds(&mut ffgs(&["export", "--to", "ply-seq", "--native"], &thin));
-    assert!(said.contains("2 frames are left out"), "{said}");
+    assert!(said.contains("left out: 2 frames whose"), "{said}");
     let refused = ffgs(&["render", "--orbit", "--frame", "3"], &thin).output().unwrap();
     let said = String::from_utf8(refused.stderr).unwrap();
     assert!(!refused.status.success() && said.contains("were not kept"), "{said}");

@@ -100,6 +100,13 @@ fn two_workers_one_of_them_killed_end_as_one_machine() {
         assert!(a == b, "frame {frame}");
     }
     let joined = one.join("joined");
+    // As of a join that was killed on a disk without links, and of parts that had more files.
+    let [cut, old] = ["static.ply", "test/old.png"].map(|name| joined.join("frames/000003").join(name));
+    fs::remove_file(&cut).unwrap();
+    [&cut, &old].into_iter().for_each(|file| fs::write(file, "cut").unwrap());
+    succeeds(&mut join(&one));
+    assert!(fs::read(&cut).unwrap() == fs::read(one.join("part001/frames/000003/static.ply")).unwrap());
+    assert!(!old.exists());
     assert_ne!(fs::read(state(&joined, 3)).unwrap(), fs::read(state(&one.join("scout"), 2)).unwrap());
     let seams: serde_json::Value =
         serde_json::from_slice(&fs::read(joined.join("seams.json")).unwrap()).unwrap();

@@ -58,3 +58,52 @@ fn pose(camera: &RigCamera, picture: usize) -> Value {
     let pose = camera.poses.get(picture).or(camera.poses.first()).copied().unwrap_or_default();
     json!(pose.transpose().to_cols_array_2d())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::timing::Sequence;
+    use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Undistortion, detect};
+    use ffgs_core::ImageSize;
+    use ffgs_dataset::{Capture, Split};
+    use glam::DMat4;
+
+    fn camera(name: &str, width: usize) -> RigCamera {
+        let size = ImageSize { width, height: 48 };
+        let intrinsics = Intrinsics { fx: 70.0, fy: 72.0, cx: 30.0, cy: 20.0 };
+        let lens = Lens { intrinsics, distortion: Distortion::None, size };
+        RigCamera {
+            name: name.to_owned(),
+            undistortion: Undistortion::new(lens, size).unwrap(),
+            poses: vec![DMat4::from_translation(glam::DVec3::Z)],
+            pictures: Pictures::Files(Vec::new()),
+            masks: None,
+            test: false,
+            sequence: Sequence { name: name.to_owned(), pictures: 2, rate: None },
+        }
+    }
+
+    /// The lists of two cameras with these widths, as a capture and as footage.
+    fn written(widths: [usize; 2]) -> (Capture, Footage) {
+        let folder = tempfile::tempdir().unwrap();
+        let cameras = vec![camera("a", widths[0]), camera("b", widths[1])];
+        let rig = Rig { cameras, ..Rig::default() };
+        let schedule = Schedule { frames: vec![vec![0, 0], vec![1, 1]], ..Schedule::default() };
+        write(&rig, &schedule, folder.path()).unwrap();
+        let (format, file) = detect(folder.path(), None).unwrap();
+        (Capture::open(folder.path()).unwrap(), (format.read)(folder.path(), &file).unwrap())
+    }
+
+    #[test]
+    fn what_is_written_is_read_as_a_capture_and_prepared_again() {
+        for widths in [[64, 80], [64, 64]] {
+            let (capture, footage) = written(widths);
+            let sizes =
+                |frame| [0, 1].map(|view| capture.camera(Split::Train, view, frame).unwrap().size().width);
+            assert_eq!([sizes(0), sizes(1)], [widths; 2]);
+            let lenses: Vec<_> =
+                footage.cameras.iter().map(|c| (c.name.as_str(), c.lens.size.width)).collect();
+            assert_eq!(lenses, [("a", widths[0]), ("b", widths[1])]);
+        }
+    }
+}

@@ -81,6 +81,7 @@ fn extract_video(
 
 fn write(camera: &RigCamera, picture: &ImageRgb8, from: &Path, to: &Path) -> Result<(), PrepareError> {
     same_size(camera, picture.size(), from)?;
+    // It has content everywhere: lenses with which it would not have are refused.
     pictures::write_rgb(to, &camera.undistortion.apply(picture).0)
 }
 

@@ -1,6 +1,7 @@
 //! Footage that is a capture as it lies: pictures of pinhole cameras with a calibration, read where they are.
 
-use crate::rig::{is_plain, origin, test_cameras};
+use crate::names::is_plain;
+use crate::rig::{origin, test_cameras};
 use crate::{Request, pictures};
 use ffgs_calibration::formats::Format;
 use ffgs_calibration::{Distortion, Footage, Pictures, SourceCamera};
@@ -62,6 +63,7 @@ impl FootageCapture {
         if let Some(reason) = needs_conversion(&footage) {
             return Err(refuse(reason));
         }
+        footage.skipped.iter().for_each(|text| tracing::warn!("{}: {text}", root.display()));
         let request = Request::new(root.to_owned(), root.to_owned());
         let test = test_cameras(&footage, &request).map_err(|error| refuse(error.to_string()))?;
         footage.cameras.iter_mut().try_for_each(learn_size)?;

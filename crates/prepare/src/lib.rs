@@ -17,6 +17,7 @@ mod hull;
 mod in_place;
 mod journal;
 mod masks;
+mod names;
 mod networks;
 #[cfg(test)]
 mod painted;

@@ -22,8 +22,8 @@ impl Region {
 }
 
 /// The part of the world that the cameras look at: around the point nearest to all optical axes, as far as the
-/// cameras are from it. Parallel cameras have no such point; then it is as far ahead as ten times their distances
-/// from each other.
+/// cameras are from it. Parallel cameras have no such point; then it is five times as far ahead
+/// as the outermost is from their middle.
 pub(crate) fn common_region(cameras: &[Camera]) -> Region {
     let centres: Vec<DVec3> = cameras.iter().map(Camera::center).collect();
     let axes: Vec<DVec3> = cameras.iter().map(|c| c.rotation().transpose() * DVec3::Z).collect();

@@ -1,5 +1,6 @@
 //! The footage's cameras as the capture has them: size, pinhole, units, which are held out.
 
+use crate::names::plain_name;
 use crate::timing::Sequence;
 use crate::{PrepareError, Request, TestCameras, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
@@ -83,7 +84,8 @@ impl Rig {
         let lens = self.lens_for(source, found)?;
         let reduced = |length: usize| ((length as f64 * request.scale).round() as usize).max(1);
         let size = ImageSize { width: reduced(found.width), height: reduced(found.height) };
-        let undistortion = Undistortion::new(lens, size);
+        let undistortion = Undistortion::new(lens, size)
+            .map_err(|reason| PrepareError::Footage(format!("camera '{}': {reason}", source.name)))?;
         let move_origin = DMat4::from_translation(self.origin);
         let to_metres = |pose: &DMat4| {
             let mut pose = *pose * move_origin;
@@ -143,15 +145,6 @@ impl Rig {
 /// Cameras whose lens bends.
 pub(crate) fn distorted(footage: &Footage) -> usize {
     footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
-}
-
-/// A camera's name as the capture spells it, where it is that of files.
-pub(crate) fn plain_name(name: &str) -> String {
-    name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect()
-}
-
-pub(crate) fn is_plain(c: char) -> bool {
-    c.is_alphanumeric() || matches!(c, '-' | '_' | '.')
 }
 
 fn first_size(of: &Pictures) -> Result<ImageSize, PrepareError> {

@@ -7,7 +7,7 @@ use crate::ground::Ground;
 use crate::stereo::StereoPoint;
 use crate::thinning::evenly;
 use crate::views::View;
-use ffgs_core::Camera;
+use ffgs_core::{Camera, upper_median};
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use std::num::NonZero;
@@ -99,7 +99,7 @@ impl<'a> Surfaces<'a> {
             DVec3::new(1.0, offset.x, offset.y)
         };
         let alike: Vec<f64> = near.iter().map(|k| alike(k.colour, colour)).collect();
-        let middle = median(near.iter().map(|k| k.inverse).collect());
+        let middle = upper_median(near.iter().map(|k| k.inverse)).expect("there are neighbours");
         let mut fit = DVec3::X * middle;
         for _ in 0..ROUNDS {
             let (mut normal, mut right, mut total) = (DMat3::ZERO, DVec3::ZERO, 0.0);
@@ -135,11 +135,6 @@ fn known(view: &View, matched: &[StereoPoint], foreground: bool) -> Vec<Known> {
     let seen = matched.iter().filter_map(|p| view.camera.project(p.position));
     let seen = seen.filter(|p| view.camera.shows(p.pixel) && view.is_foreground(p.pixel) == foreground);
     seen.map(|p| Known { pixel: p.pixel, inverse: 1.0 / p.depth, colour: view.colour(p.pixel) }).collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// Weight of a point by its colour.

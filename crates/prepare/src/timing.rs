@@ -1,6 +1,6 @@
 //! Which picture of each camera belongs to which frame.
 
-use crate::rig::plain_name;
+use crate::names::plain_name;
 use crate::{PrepareError, Request};
 use ffgs_core::read_text;
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 //! `light.rs`.
 
 use anyhow::Result;
-use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
+use ffgs_core::{Camera, Exposure, Gaussians, TrainingView, upper_median};
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_trainer::estimate_exposures;
 use serde::{Deserialize, Serialize};
@@ -60,12 +60,12 @@ impl Exposures {
     /// With the offsets of the cameras that stand out from all others, about the median; neutral where none does.
     fn standing_out(&self) -> Self {
         let column = |c: usize| self.train.values().map(|offsets| offsets[c]).collect::<Vec<f64>>();
-        let middle = [0, 1, 2].map(|c| median(column(c)));
+        let middle = [0, 1, 2].map(|c| upper_median(column(c)).unwrap_or(0.0));
         let away = |offsets: &[f64; 3]| {
             let from_middle: [f64; 3] = std::array::from_fn(|c| offsets[c] - middle[c]);
             (from_middle, from_middle.iter().fold(0.0, |most: f64, offset| most.max(offset.abs())))
         };
-        let usual = median(self.train.values().map(|offsets| away(offsets).1).collect());
+        let usual = upper_median(self.train.values().map(|offsets| away(offsets).1)).unwrap_or(0.0);
         let stands_out = |offsets: &[f64; 3]| away(offsets).1 > STANDS_OUT.max(UNUSUAL * usual);
         if !self.train.values().any(stands_out) {
             return Self::default();
@@ -216,12 +216,6 @@ fn likeness(known: &[(Camera, [f64; 3])]) -> f64 {
     let of_camera = |(p, offsets): &([f64; 3], [f64; 3])| product(p, offsets) - slope * product(p, p);
     let error = pairs.iter().map(|pair| of_camera(pair).powi(2)).sum::<f64>().sqrt() / square;
     if slope > NO_CHANCE * error { slope.clamp(0.0, 1.0) } else { 0.0 }
-}
-
-/// The upper one of two in the middle; 0 for none.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    let half = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! Light and exposures that change from frame to frame: what all cameras see changes the scene, what one camera sees is its exposure
 //! (docs/adr/0090-exposures-and-light-are-followed.md).
 
-use crate::exposures::median;
 use crate::reconstructor::{Reconstructor, State};
 use anyhow::Result;
-use ffgs_core::{Exposure, StageLog, TrainingView, stage};
+use ffgs_core::{Exposure, StageLog, TrainingView, stage, upper_median};
 use ffgs_method::{Split, ViewAt};
 use ffgs_trainer::{PhotographExposure, photograph_exposures};
 use std::time::Instant;
@@ -111,12 +110,12 @@ impl Changes {
 /// The step that `most` cameras take, if there is one.
 fn common(steps: &[[f64; 3]], most: usize, least: f64) -> Option<Exposure> {
     let grey = |step: &[f64; 3]| step.iter().sum::<f64>() / 3.0;
-    let middle = median(steps.iter().map(grey).collect());
+    let middle = upper_median(steps.iter().map(grey)).unwrap_or(0.0);
     let alike = steps.iter().filter(|step| (grey(step) - middle).abs() < ALIKE * middle.abs()).count();
     if middle.abs() < least || alike < most {
         return None;
     }
-    let of_channel = |c: usize| median(steps.iter().map(|step| step[c]).collect());
+    let of_channel = |c: usize| upper_median(steps.iter().map(|step| step[c])).unwrap_or(0.0);
     Some(Exposure { offsets: [0, 1, 2].map(of_channel) })
 }
 

@@ -38,6 +38,9 @@ pub enum Problem {
     /// What is asked for is not there.
     #[error("{0}")]
     Missing(String),
+    /// The writer cannot go on.
+    #[error("an earlier frame could not be written; open the stream again to go on with it")]
+    Failed,
     /// The data handed over do not fit together.
     #[error("{0}")]
     Shape(String),

@@ -42,6 +42,11 @@ impl Tag {
         (Self::Sky, *b"SKYE"),
     ];
 
+    /// In the list of frames.
+    pub(crate) fn name(self) -> String {
+        format!("{self:?}")
+    }
+
     fn bytes(self) -> [u8; 4] {
         Self::ALL.iter().find(|(tag, _)| *tag == self).map_or([0; 4], |(_, bytes)| *bytes)
     }

@@ -1,10 +1,11 @@
 //! `manifest.json`, written once, and `frames.jsonl`, a line per finished frame.
 
 use crate::error::{InFile, Problem, StreamError};
-use crate::frame_file::{READABLE, VERSION};
+use crate::frame_file::{READABLE, Tag, VERSION};
 use crate::steps::Steps;
-use ffgs_core::{PixelFilter, read_text};
+use ffgs_core::{PixelFilter, read_text, refuse_link};
 use serde::{Deserialize, Serialize};
+use std::fs::OpenOptions;
 use std::path::Path;
 
 /// Names of the two files.
@@ -98,22 +99,51 @@ pub struct Entry {
     pub sections: std::collections::BTreeMap<String, u64>,
 }
 
+impl Entry {
+    /// Whether it says how well each dynamic position is known.
+    pub fn has_uncertainty(&self) -> bool {
+        self.sections.contains_key(&Tag::Uncertainty.name())
+    }
+}
+
 /// The finished frames. A last line without its end is still being written and left out.
 pub(crate) fn read_entries(folder: &Path) -> Result<Vec<Entry>, StreamError> {
     let path = folder.join(FRAMES);
-    let text = match read_text(&path, MAX_TEXT_BYTES) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
-        text => text.in_file(&path)?,
-    };
-    let complete = text.rfind('\n').map_or("", |end| &text[..end]);
+    let text = read_list(&path)?;
     let entries: Vec<Entry> =
-        complete.lines().map(serde_json::from_str).collect::<Result<_, _>>().in_file(&path)?;
+        finished(&text).lines().map(serde_json::from_str).collect::<Result<_, _>>().in_file(&path)?;
     let ascending = entries.windows(2).all(|pair| pair[0].frame < pair[1].frame);
     let inside = entries.iter().all(|e| is_plain_name(&e.file));
     if ascending && inside {
         return Ok(entries);
     }
     Err(Problem::Corrupt("frames are out of order, or a file lies outside the folder".into())).in_file(&path)
+}
+
+/// Cuts off a last line without its end: the line of the next frame would become a part of it.
+pub(crate) fn cut_unfinished(folder: &Path) -> Result<(), StreamError> {
+    let path = folder.join(FRAMES);
+    let text = read_list(&path)?;
+    let length = finished(&text).len();
+    if length == text.len() {
+        return Ok(());
+    }
+    refuse_link(&path).in_file(&path)?;
+    let list = OpenOptions::new().write(true).open(&path).in_file(&path)?;
+    list.set_len(length as u64).and_then(|()| list.sync_data()).in_file(&path)
+}
+
+/// The text of the list; none before the first frame.
+fn read_list(path: &Path) -> Result<String, StreamError> {
+    match read_text(path, MAX_TEXT_BYTES) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(String::new()),
+        text => text.in_file(path),
+    }
+}
+
+/// The lines that have their end.
+fn finished(text: &str) -> &str {
+    text.rfind('\n').map_or("", |end| &text[..=end])
 }
 
 /// A file name without a path, so that a stream cannot name files elsewhere.

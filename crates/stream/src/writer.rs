@@ -4,7 +4,7 @@ use crate::changed_rows::{count, encode_rows};
 use crate::error::{InFile, Problem, StreamError};
 use crate::frame_file::{Tag, checksum, encode};
 use crate::layers::{Change, encode_change, encode_colours, encode_key, encode_uncertainty};
-use crate::manifest::{Entry, FRAMES, MANIFEST, Manifest, read_entries};
+use crate::manifest::{Entry, FRAMES, MANIFEST, Manifest, cut_unfinished, read_entries};
 use crate::motion::{Motion, Pair, clusters, nearest, robust_fit};
 use crate::row::{MAX_GROUPS, Row};
 use crate::steps::{Measures, Precision, Steps};
@@ -58,6 +58,8 @@ pub struct Writer {
     last_frame: Option<u64>,
     still: Option<Still>,
     moving: Option<Moving>,
+    /// Whether what a decoder has is not known: a frame was encoded, and its files may not be there.
+    failed: bool,
 }
 
 /// The static layer as last written.
@@ -105,19 +107,29 @@ impl Writer {
         Ok(Self::with(folder, manifest, key_every, None))
     }
 
-    /// Goes on with a stream; its next frame is a key frame.
+    /// Goes on with a stream; its next frame is a key frame. A last line of the list that its writer did not finish is cut off.
     ///
     /// # Errors
-    /// When the folder holds no readable stream.
+    /// When the folder holds no readable stream, or the list cannot be cut.
     pub fn append(folder: &Path, key_every: u64) -> Result<Self, StreamError> {
         let manifest = Manifest::read(folder)?;
+        cut_unfinished(folder)?;
         let entries = read_entries(folder)?;
         Ok(Self::with(folder, manifest, key_every, entries.last().map(|e| e.frame)))
     }
 
     fn with(folder: &Path, manifest: Manifest, key_every: u64, last_frame: Option<u64>) -> Self {
         let folder = folder.to_owned();
-        Self { folder, manifest, key_every, since_key: 0, last_frame, still: None, moving: None }
+        Self {
+            folder,
+            manifest,
+            key_every,
+            since_key: 0,
+            last_frame,
+            still: None,
+            moving: None,
+            failed: false,
+        }
     }
 
     /// What holds for all frames.
@@ -133,7 +145,8 @@ impl Writer {
     /// Writes a frame: its file, whole or not at all, and then its line in the list.
     ///
     /// # Errors
-    /// When columns do not match or are not finite, the frame is not behind the last one, or a file cannot be written.
+    /// When columns do not match or are not finite, the frame is not behind the last one, or a file cannot be written. After
+    /// the last, every frame is refused: [`Writer::append`] finds out what is there and goes on with a key frame.
     pub fn push(&mut self, frame: &Frame) -> Result<Entry, StreamError> {
         self.check(frame).in_file(&self.folder)?;
         let steps = &self.manifest.static_steps;
@@ -147,13 +160,20 @@ impl Writer {
         if sky {
             sections.push((Tag::Sky, frame.sky.to_vec()));
         }
+        let gaussians = [frame.static_layer.len(), frame.dynamic_layer.len()];
+        // The layers are already those of this frame.
+        self.failed = true;
+        let entry = self.store(frame.frame, &sections, [key, static_key, sky], gaussians)?;
+        self.failed = false;
         self.since_key = if key { 1 } else { self.since_key + 1 };
         self.last_frame = Some(frame.frame);
-        let gaussians = [frame.static_layer.len(), frame.dynamic_layer.len()];
-        self.store(frame.frame, &sections, [key, static_key, sky], gaussians)
+        Ok(entry)
     }
 
     fn check(&self, frame: &Frame) -> Result<(), Problem> {
+        if self.failed {
+            return Err(Problem::Failed);
+        }
         let shape = |text: String| Err(Problem::Shape(text));
         for (layer, steps) in [
             (frame.static_layer, &self.manifest.static_steps),
@@ -237,7 +257,7 @@ impl Writer {
             static_key,
             sky,
             gaussians,
-            sections: sections.iter().map(|(tag, bytes)| (format!("{tag:?}"), bytes.len() as u64)).collect(),
+            sections: sections.iter().map(|(tag, bytes)| (tag.name(), bytes.len() as u64)).collect(),
         };
         let list = self.folder.join(FRAMES);
         let line = serde_json::to_string(&entry).in_file(&list)? + "\n";

@@ -450,3 +450,70 @@ fn frames_that_do_not_fit_are_refused() {
     assert!(writer.push(&Frame { static_layer: &layer(3, 1, 1.0), ..scene.frame(0) }).is_err());
     writer.push(&scene.frame(0)).unwrap();
 }
+
+/// As on a full disk: nothing can be put under a name that a folder with content has.
+#[test]
+fn a_frame_that_cannot_be_written_is_missed_by_no_later_one() {
+    for name in ["000002.4df", "frames.jsonl"] {
+        let (scene, folder) = (Scene::new(4), TempDir::new().unwrap());
+        let [place, aside] = [name, "aside"].map(|name| folder.path().join(name));
+        let mut writer = scene.writer(folder.path());
+        let keys = [0, 1].map(|t| writer.push(&scene.frame(t)).unwrap().key);
+        assert_eq!(keys, [true, false]);
+        let was_there = std::fs::rename(&place, &aside).is_ok();
+        std::fs::create_dir_all(place.join("content")).unwrap();
+        let error = writer.push(&scene.frame(2)).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+        std::fs::remove_dir_all(&place).unwrap();
+        if was_there {
+            std::fs::rename(&aside, &place).unwrap();
+        }
+        for t in [2, 3] {
+            let error = writer.push(&scene.frame(t)).unwrap_err().to_string();
+            assert!(error.contains("open the stream again"), "{error}");
+        }
+        assert_eq!(writer.last_frame(), Some(1));
+
+        let mut writer = Writer::append(folder.path(), KEY_EVERY).unwrap();
+        let keys = [2, 3].map(|t| writer.push(&scene.frame(t)).unwrap().key);
+        assert_eq!(keys, [true, false], "{name}");
+        let mut reader = Reader::open(folder.path()).unwrap();
+        (0..4).for_each(|t| scene.check(t, &reader.read(t as u64).unwrap()));
+    }
+}
+
+#[test]
+fn a_line_that_was_not_finished_is_cut_off_before_the_next() {
+    let (scene, folder) = (Scene::new(3), TempDir::new().unwrap());
+    let list = folder.path().join("frames.jsonl");
+    let append = || Writer::append(folder.path(), KEY_EVERY).unwrap();
+    drop(scene.writer(folder.path()));
+    // Interrupted in the first line, and in a later one.
+    std::fs::write(&list, "{\"frame\": 0, \"fi").unwrap();
+    assert_eq!(append().last_frame(), None);
+    assert_eq!(std::fs::read_to_string(&list).unwrap(), "");
+    append().push(&scene.frame(0)).unwrap();
+    let sound = std::fs::read_to_string(&list).unwrap();
+    std::fs::write(&list, sound.clone() + &sound[..sound.len() / 2]).unwrap();
+    append().push(&scene.frame(1)).unwrap();
+    // What is whole stays.
+    let whole = std::fs::read_to_string(&list).unwrap();
+    assert!(whole.starts_with(&sound));
+    drop(append());
+    assert_eq!(std::fs::read_to_string(&list).unwrap(), whole);
+    let mut reader = Reader::open(folder.path()).unwrap();
+    assert_eq!(reader.entries().len(), 2);
+    (0..2).for_each(|t| scene.check(t, &reader.read(t as u64).unwrap()));
+}
+
+#[test]
+fn the_list_says_which_frames_have_uncertainties() {
+    let (scene, folder) = (Scene::new(2), TempDir::new().unwrap());
+    let mut writer = scene.writer(folder.path());
+    let values = vec![0.1; scene.moving[0].len()];
+    writer.push(&Frame { uncertainty: Some(&values), ..scene.frame(0) }).unwrap();
+    writer.push(&scene.frame(1)).unwrap();
+    let reader = Reader::open(folder.path()).unwrap();
+    let said: Vec<bool> = reader.entries().iter().map(Entry::has_uncertainty).collect();
+    assert_eq!(said, [true, false]);
+}

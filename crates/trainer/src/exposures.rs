@@ -1,6 +1,6 @@
 //! Exposures of cameras, from surface points that several of them see (docs/adr/0055-exposures.md).
 
-use ffgs_core::{Camera, Exposure, Gaussians, TrainingView};
+use ffgs_core::{Camera, Exposure, Gaussians, TrainingView, median};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, View};
 use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
@@ -153,7 +153,7 @@ fn offsets(points: &[Vec<Sight>], views: usize) -> Vec<f64> {
         let mut right = DVector::zeros(views);
         let mut residuals = Vec::new();
         for point in points.iter().filter(|point| point.len() > 1) {
-            let middle = median(point.iter().map(|sight| sight.odds - offsets[sight.view]).collect());
+            let middle = median(point.iter().map(|sight| sight.odds - offsets[sight.view])).unwrap_or(0.0);
             let weights: Vec<f64> = point
                 .iter()
                 .map(|sight| {
@@ -164,7 +164,7 @@ fn offsets(points: &[Vec<Sight>], views: usize) -> Vec<f64> {
                 .collect();
             add_point(point, &weights, &mut normal, &mut right);
         }
-        scale = (SOFT * median(residuals)).max(LEAST_SCALE);
+        scale = (SOFT * median(residuals).unwrap_or(0.0)).max(LEAST_SCALE);
         if let Some(factors) = normal.cholesky() {
             offsets = factors.solve(&right);
         }
@@ -183,19 +183,6 @@ fn add_point(point: &[Sight], weights: &[f64], normal: &mut DMatrix<f64>, right:
         for (b, v) in point.iter().zip(weights) {
             normal[(a.view, b.view)] -= w * v / sum;
         }
-    }
-}
-
-/// The mean of both middle values of an even number; 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    let half = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    let (below, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
-    match below.iter().copied().reduce(f64::max) {
-        Some(lower) if values.len().is_multiple_of(2) => 0.5 * (lower + upper),
-        _ => upper,
     }
 }
 

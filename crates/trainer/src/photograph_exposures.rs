@@ -2,8 +2,7 @@
 
 use crate::background::{SkyBehind, outside};
 use crate::exposures::{CLIPPED, factor};
-use crate::view::median;
-use ffgs_core::{Gaussians, SkyCube, TrainingView, scale_odds};
+use ffgs_core::{Gaussians, SkyCube, TrainingView, scale_odds, upper_median};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 
 /// Pixels of a view beyond which it is reduced: three numbers need no more.
@@ -82,8 +81,9 @@ fn compared(
             return None;
         }
         let offsets: Vec<f64> = blocks.iter().map(|block| brighter(block)).collect();
-        let middle = median(offsets.iter().copied());
-        let spread = NORMAL * median(offsets.iter().map(|offset| (offset - middle).abs()));
+        let middle = upper_median(offsets.iter().copied()).unwrap_or(0.0);
+        let spread =
+            NORMAL * upper_median(offsets.iter().map(|offset| (offset - middle).abs())).unwrap_or(0.0);
         out.offsets[c] = middle;
         out.errors[c] = OF_MEDIAN * spread / (offsets.len() as f64).sqrt();
     }
@@ -103,7 +103,7 @@ fn brighter(shown: &[Shown]) -> f64 {
         let residuals = shown
             .iter()
             .map(|&(render, photograph)| f64::from((photograph - scale_odds(render, odds)).abs()));
-        let scale = (SOFT * median(residuals) as f32).max(LEAST_SCALE);
+        let scale = (SOFT * upper_median(residuals).unwrap_or(0.0) as f32).max(LEAST_SCALE);
         let (mut right, mut square) = (0.0_f64, f64::MIN_POSITIVE);
         for &(render, photograph) in shown {
             let value = scale_odds(render, odds);

@@ -1,7 +1,7 @@
 //! Views of a training loop, and its progress.
 
 use crate::constants::RUNNING_RATE;
-use ffgs_core::TrainingView;
+use ffgs_core::{TrainingView, upper_median};
 use glam::DVec3;
 
 /// A camera farther out than this many times the median does not count for the extent: rigs of near and far cameras reach 3.
@@ -11,20 +11,14 @@ const FAR_OUT: f64 = 6.0;
 /// the others, which would raise all rates. 0 for fewer than two.
 pub fn camera_extent(views: &[TrainingView]) -> f32 {
     let centers: Vec<DVec3> = views.iter().map(|v| v.camera.center()).collect();
-    let middle = DVec3::from_array(std::array::from_fn(|axis| median(centers.iter().map(|c| c[axis]))));
-    let usual = median(centers.iter().map(|c| c.distance(middle)));
+    let coordinate = |axis: usize| upper_median(centers.iter().map(|c| c[axis])).unwrap_or(0.0);
+    let middle = DVec3::from_array(std::array::from_fn(coordinate));
+    let usual = upper_median(centers.iter().map(|c| c.distance(middle))).unwrap_or(0.0);
     // Half of the cameras at one place say nothing of the others.
     let counts = |c: &&DVec3| !(usual > 0.0) || c.distance(middle) <= FAR_OUT * usual;
     let near: Vec<DVec3> = centers.iter().filter(counts).copied().collect();
     let mean = near.iter().sum::<DVec3>() / near.len().max(1) as f64;
     1.1 * near.iter().map(|c| (*c - mean).length()).fold(0.0, f64::max) as f32
-}
-
-/// The upper one of two in the middle; 0 for none.
-pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let half = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f64::total_cmp).1 }
 }
 
 /// What a training loop reports after a step.

@@ -2,6 +2,7 @@
 //! 0.5.
 
 use super::colmap_model::{CameraRecord, ImageRecord, Model};
+use super::left_out::usable_points;
 use super::{Format, checked, colmap_binary, colmap_text, find_below};
 use crate::media::{natural_order, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
@@ -29,19 +30,21 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     if per_frame.len() > 1 { read_frames(&per_frame) } else { read_one(folder, file) }
 }
 
-fn read_model(cameras: &Path) -> Result<Model, CalibrationError> {
-    if cameras.extension().is_some_and(|e| e == "bin") {
-        colmap_binary::read(cameras)
-    } else {
-        colmap_text::read(cameras)
-    }
+/// A model without points that are no places, which `skipped` tells.
+fn read_model(cameras: &Path, skipped: &mut Vec<String>) -> Result<Model, CalibrationError> {
+    let is_binary = cameras.extension().is_some_and(|e| e == "bin");
+    let mut model = if is_binary { colmap_binary::read(cameras) } else { colmap_text::read(cameras) }?;
+    let file = cameras.with_file_name(if is_binary { "points3D.bin" } else { "points3D.txt" });
+    model.points = usable_points(model.points, &file, skipped);
+    Ok(model)
 }
 
 /// One model whose images are cameras: photographs of a static scene, or the first frames of videos.
 fn read_one(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
-    let model = read_model(file)?;
+    let mut footage = Footage::default();
+    let model = read_model(file, &mut footage.skipped)?;
+    footage.points = model.points;
     let media = Media::find(folder)?;
-    let mut footage = Footage { points: model.points, ..Footage::default() };
     for image in &model.images {
         match pictures(&media, &image.name) {
             None => footage.skipped.push(format!("{} is in the model but not here", image.name)),
@@ -115,7 +118,8 @@ fn read_frames(frames: &[(PathBuf, PathBuf)]) -> Result<Footage, CalibrationErro
     let mut cameras: BTreeMap<String, SourceCamera> = BTreeMap::new();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     for (home, file) in frames {
-        let model = read_model(file)?;
+        let mut skipped = Vec::new();
+        let model = read_model(file, &mut skipped)?;
         let media = Media::find(home)?;
         for image in &model.images {
             let Some(Pictures::Files(files)) = pictures(&media, &image.name) else { continue };
@@ -131,6 +135,11 @@ fn read_frames(frames: &[(PathBuf, PathBuf)]) -> Result<Footage, CalibrationErro
                 role: Role::Unsaid,
             };
             let camera = cameras.entry(name.clone()).or_insert_with(empty);
+            let picture = files[0].display().to_string();
+            camera
+                .lens
+                .refuse_other(&lens, &picture)
+                .map_err(|reason| CalibrationError::content(file, format!("camera '{name}': {reason}")))?;
             camera.poses.push(pose(image));
             if let Pictures::Files(all) = &mut camera.pictures {
                 all.push(files[0].clone());
@@ -138,6 +147,7 @@ fn read_frames(frames: &[(PathBuf, PathBuf)]) -> Result<Footage, CalibrationErro
         }
         if footage.points.is_empty() {
             footage.points = model.points;
+            footage.skipped.extend(skipped);
         }
     }
     for (name, camera) in cameras {
@@ -182,13 +192,15 @@ fn lens(camera: &CameraRecord) -> Result<Lens, String> {
     let (intrinsics, distortion) = match camera.model.as_str() {
         "SIMPLE_PINHOLE" => need(3).map(|()| (one_focal(), Ok(Distortion::None)))?,
         "PINHOLE" => need(4).map(|()| (two_focals(), Ok(Distortion::None)))?,
-        "SIMPLE_RADIAL" => need(4).map(|()| (one_focal(), Distortion::opencv(&p[3..])))?,
-        "RADIAL" => need(5).map(|()| (one_focal(), Distortion::opencv(&p[3..])))?,
+        "SIMPLE_RADIAL" => need(4).map(|()| (one_focal(), Distortion::simple_radial(p[3], 0.0)))?,
+        "RADIAL" => need(5).map(|()| (one_focal(), Distortion::simple_radial(p[3], p[4])))?,
         "OPENCV" => need(8).map(|()| (two_focals(), Distortion::opencv(&p[4..])))?,
         "FULL_OPENCV" => need(12).map(|()| (two_focals(), Distortion::opencv(&p[4..])))?,
         "OPENCV_FISHEYE" => need(8).map(|()| (two_focals(), Distortion::fisheye(&p[4..])))?,
-        "SIMPLE_RADIAL_FISHEYE" => need(4).map(|()| (one_focal(), Distortion::fisheye(&p[3..])))?,
-        "RADIAL_FISHEYE" => need(5).map(|()| (one_focal(), Distortion::fisheye(&p[3..])))?,
+        "SIMPLE_RADIAL_FISHEYE" => {
+            need(4).map(|()| (one_focal(), Distortion::fisheye(&[p[3], 0.0, 0.0, 0.0])))?
+        }
+        "RADIAL_FISHEYE" => need(5).map(|()| (one_focal(), Distortion::fisheye(&[p[3], p[4], 0.0, 0.0])))?,
         other => {
             return Err(format!(
                 "the model {other} is not supported: undistort with COLMAP's image_undistorter"

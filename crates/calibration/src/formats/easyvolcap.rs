@@ -2,10 +2,12 @@
 //! `Rot_NAME` (or `R_NAME`, a Rodrigues vector) and `T_NAME`, world to camera, metres.
 
 use super::file_storage::{Values, parse, value};
+use super::left_out::complete_masks;
 use super::{Format, checked, file_called, image_or_given_size, intrinsics, read_text, rigid, rodrigues};
 use crate::media::{images_in, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
 use glam::{DMat3, DVec3};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Reads EasyMocap's and EasyVolcap's calibration.
@@ -38,7 +40,7 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         let lens = lens(&optics, name, &pictures).map_err(fail)?;
         let pose =
             rigid(rotation(&poses, name).map_err(pose_of)?, translation(&poses, name).map_err(pose_of)?);
-        let masks = masks(home, name, &pictures);
+        let masks = masks(home, name, &pictures, &mut footage.skipped);
         let camera = SourceCamera {
             name: name.to_owned(),
             lens,
@@ -55,10 +57,11 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
 fn lens(values: &Values, name: &str, pictures: &Pictures) -> Result<Lens, String> {
     let k = value::<9>(values, &format!("K_{name}")).ok_or("K is not 3x3")?;
     let rows = [[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]];
-    let empty = Vec::new();
-    let coefficients =
-        [format!("dist_{name}"), format!("D_{name}")].into_iter().find_map(|key| values.get(&key));
-    let distortion = Distortion::opencv(coefficients.unwrap_or(&empty))?;
+    let keys = [format!("dist_{name}"), format!("D_{name}")];
+    let distortion = match keys.into_iter().find_map(|key| values.get_key_value(&key)) {
+        Some((key, found)) => Distortion::opencv(found).map_err(|reason| format!("{key}: {reason}"))?,
+        None => Distortion::None,
+    };
     let side = |letter: &str| values.get(&format!("{letter}_{name}")).and_then(|v| v.first()).copied();
     let size = image_or_given_size([side("W"), side("H")], pictures)?;
     Ok(Lens::with_integer_centers(intrinsics(rows)?, distortion, size))
@@ -77,12 +80,32 @@ fn translation(values: &Values, name: &str) -> Result<DVec3, String> {
     Ok(DVec3::from(*t))
 }
 
-/// Masks of the same number as the pictures.
-fn masks(home: &Path, name: &str, pictures: &Pictures) -> Option<Pictures> {
-    let Pictures::Files(files) = pictures else { return None };
-    let all = MASKS.iter().map(|folder| images_in(&home.join(folder).join(name)));
-    let same = |masks: &Vec<PathBuf>| {
-        masks.len() == files.len() && masks.iter().zip(files).all(|(m, f)| stem(m) == stem(f))
+/// Of the first folder with a mask for each picture, called as it; without such a folder none, and `skipped` tells what the first with masks lacks.
+fn masks(home: &Path, name: &str, pictures: &Pictures, skipped: &mut Vec<String>) -> Option<Pictures> {
+    let folders = MASKS.iter().map(|folder| home.join(folder).join(name));
+    let folders: Vec<PathBuf> = folders.filter(|folder| !images_in(folder).is_empty()).collect();
+    let first = folders.first()?.display();
+    let Pictures::Files(files) = pictures else {
+        skipped.push(format!("the masks in {first} are not used: camera '{name}' has a video, not pictures"));
+        return None;
     };
-    all.into_iter().find(same).map(Pictures::Files)
+    let mut found: Vec<_> = folders.iter().map(|folder| of_files(folder, files)).collect();
+    let complete = found.iter().position(|masks| masks.iter().all(Result::is_ok));
+    let masks = found.swap_remove(complete.unwrap_or(0));
+    if masks.iter().all(Result::is_err) {
+        let picture = stem(&files[0]);
+        skipped.push(format!(
+            "the masks in {first} are not used: none is called as a picture of camera '{name}', such as {picture}"
+        ));
+    }
+    complete_masks(name, masks, skipped)
+}
+
+/// For each picture the mask of the folder that is called as it.
+fn of_files(folder: &Path, files: &[PathBuf]) -> Vec<Result<PathBuf, String>> {
+    let masks: BTreeMap<String, PathBuf> =
+        images_in(folder).into_iter().map(|mask| (stem(&mask), mask)).collect();
+    let missing = |name: &str| folder.join(name).display().to_string();
+    let of_file = |name: String| masks.get(&name).cloned().ok_or_else(|| missing(&name));
+    files.iter().map(|file| of_file(stem(file))).collect()
 }

@@ -51,7 +51,7 @@ fn parse_yaml(text: &str) -> Result<Values, String> {
             match (indented, name, rest.starts_with('[')) {
                 (true, "data", _) | (false, _, true) => open = Some(rest.to_owned()),
                 (false, ..) => {
-                    values.extend(rest.parse().ok().map(|v: f64| (key.clone(), vec![v])));
+                    values.extend(number(rest).ok().map(|v| (key.clone(), vec![v])));
                 }
                 _ => {}
             }
@@ -71,14 +71,37 @@ fn numbers(text: &str) -> Result<Vec<f64>, String> {
     inner.split(',').map(str::trim).filter(|w| !w.is_empty()).map(number).collect()
 }
 
-/// OpenCV writes `.Nan` and `.Inf`.
+/// OpenCV writes `.Nan` and `-.Inf`, and Rust reads them without the dot; a dot before digits is a decimal point.
 fn number(word: &str) -> Result<f64, String> {
-    word.trim_start_matches('.').parse().map_err(|_| format!("'{word}' is not a number"))
+    let unsigned = word.strip_prefix(['+', '-']).unwrap_or(word);
+    let is_named = ["nan", "inf"]
+        .iter()
+        .any(|name| unsigned.strip_prefix('.').is_some_and(|rest| rest.eq_ignore_ascii_case(name)));
+    let plain = if is_named { &word.replacen('.', "", 1) } else { word };
+    plain.parse().map_err(|_| format!("'{word}' is not a number"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_dot_is_a_decimal_point_but_before_nan_and_inf() {
+        for (word, value) in
+            [(".5", 0.5), (".08", 0.08), ("-.25", -0.25), ("+.5e1", 5.0), ("3.", 3.0), ("-7", -7.0)]
+        {
+            assert_eq!(number(word), Ok(value), "{word}");
+        }
+        for (word, value) in [(".Inf", f64::INFINITY), ("-.Inf", f64::NEG_INFINITY), ("+.inf", f64::INFINITY)]
+        {
+            assert_eq!(number(word), Ok(value), "{word}");
+        }
+        assert!([".Nan", "-.NaN", ".nan"].iter().all(|word| number(word).unwrap().is_nan()));
+        assert!(["..5", ".", "-.", "..Nan", ".infinity5", ""].iter().all(|word| number(word).is_err()));
+        let yaml = "dist: !!opencv-matrix\n   data: [ .08, -.5, 0., .001 ]\nscale: .5\n";
+        let values = parse(yaml).unwrap();
+        assert_eq!((&values["dist"][..], &values["scale"][..]), (&[0.08, -0.5, 0.0, 0.001][..], &[0.5][..]));
+    }
 
     #[test]
     fn opencvs_xml_is_read_in_all_its_forms() {

@@ -8,6 +8,7 @@ mod colmap_text;
 mod dynamic3dgs;
 mod easyvolcap;
 mod file_storage;
+mod left_out;
 mod opencv;
 mod panoptic;
 mod point_ply;

@@ -145,20 +145,10 @@ fn translation(values: &Values) -> Option<(&str, &[f64])> {
     called(values, &[3], |key| key.starts_with("trans") || ["t", "tvec", "tvecs"].contains(&key))
 }
 
-/// The coefficients, if there are any.
-///
-/// # Errors
-/// When there are so many as OpenCV never has.
-fn distortion(values: &Values) -> Result<Option<&[f64]>, String> {
-    const COUNTS: [usize; 5] = [4, 5, 8, 12, 14];
+/// The key and the coefficients, if there are any.
+fn distortion(values: &Values) -> Option<(&str, &[f64])> {
     let several: Vec<usize> = (2..=100).collect();
-    let found = called(values, &several, |key| key.starts_with("dist") || key == "d");
-    match found {
-        Some((key, found)) if !COUNTS.contains(&found.len()) => {
-            Err(format!("{key} has {} numbers; OpenCV's distortions have {COUNTS:?}", found.len()))
-        }
-        found => Ok(found.map(|(_, found)| found)),
-    }
+    called(values, &several, |key| key.starts_with("dist") || key == "d")
 }
 
 /// What is missing for a camera.
@@ -187,7 +177,7 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             continue;
         }
         let fail = |reason: String| CalibrationError::content(file, format!("camera '{name}': {reason}"));
-        if distortion(values).map_err(fail)?.is_none() {
+        if distortion(values).is_none() {
             footage
                 .assumed
                 .push(format!("camera '{name}' has no distortion: {} tells of none", file.display()));
@@ -216,11 +206,11 @@ fn lens(values: &Values, pictures: &Pictures) -> Result<Lens, String> {
     let side = |name: &str| called(values, &[1], |key| key == name).map(|(_, v)| v[0]);
     let size = image_or_given_size([side("imagewidth"), side("imageheight")], pictures)?;
     let rows = [[*fx, *skew, *cx], [0.0, *fy, *cy], [0.0, 0.0, 1.0]];
-    Ok(Lens::with_integer_centers(
-        intrinsics(rows)?,
-        Distortion::opencv(distortion(values)?.unwrap_or_default())?,
-        size,
-    ))
+    let distortion = match distortion(values) {
+        Some((key, found)) => Distortion::opencv(found).map_err(|reason| format!("{key}: {reason}"))?,
+        None => Distortion::None,
+    };
+    Ok(Lens::with_integer_centers(intrinsics(rows)?, distortion, size))
 }
 
 fn camera_from_world(values: &Values) -> Result<DMat4, String> {

@@ -57,9 +57,10 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         }
     }
     if without > 0 {
-        footage
-            .skipped
-            .push(format!("{without} of {} cameras have no video or images here", calibration.cameras.len()));
+        footage.skipped.push(format!(
+            "no video or images are here for {without} of {} cameras",
+            calibration.cameras.len()
+        ));
     }
     Ok(footage)
 }

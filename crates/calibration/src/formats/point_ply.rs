@@ -1,5 +1,6 @@
 //! Points of a PLY, binary or text: `x`, `y`, `z`, and `red`, `green`, `blue` where it has colours.
 
+use super::left_out::usable_points;
 use crate::{CalibrationError, ColouredPoint};
 use ffgs_core::open_input;
 use glam::DVec3;
@@ -11,11 +12,14 @@ use std::path::Path;
 /// Colour of points without one (sRGB).
 const GREY: [u8; 3] = [128; 3];
 
-/// The points of a file, in its order; those that are not finite are left out.
+/// The points of a file, in its order; those that are no places are left out, which `skipped` tells.
 ///
 /// # Errors
 /// When the file cannot be read, is no PLY, is cut off, or has no positions.
-pub(super) fn read_points(file: &Path) -> Result<Vec<ColouredPoint>, CalibrationError> {
+pub(super) fn read_points(
+    file: &Path,
+    skipped: &mut Vec<String>,
+) -> Result<Vec<ColouredPoint>, CalibrationError> {
     let fail = |reason: String| CalibrationError::content(file, reason);
     let opened = open_input(file).map_err(|e| CalibrationError::io(file, e))?;
     let mut reader = Reader::new(BufReader::new(opened));
@@ -31,7 +35,7 @@ pub(super) fn read_points(file: &Path) -> Result<Vec<ColouredPoint>, Calibration
             .read_payload_for_element(&mut reader, element, &header)
             .map_err(|e| fail(e.to_string()))?;
         if is_vertex {
-            return Ok(rows.into_iter().filter(|v| v.0.position.is_finite()).map(|v| v.0).collect());
+            return Ok(usable_points(rows.into_iter().map(|v| v.0).collect(), file, skipped));
         }
     }
     Ok(Vec::new())
@@ -90,10 +94,15 @@ mod tests {
     use super::*;
 
     fn points(content: &[u8]) -> Result<Vec<ColouredPoint>, CalibrationError> {
+        points_and_skipped(content).map(|(points, _)| points)
+    }
+
+    fn points_and_skipped(content: &[u8]) -> Result<(Vec<ColouredPoint>, Vec<String>), CalibrationError> {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("points.ply");
         std::fs::write(&file, content).unwrap();
-        read_points(&file)
+        let mut skipped = Vec::new();
+        read_points(&file, &mut skipped).map(|points| (points, skipped))
     }
 
     const BINARY: &str = "ply\nformat binary_little_endian 1.0\nelement camera 1\nproperty uchar id\nelement vertex 2\n\
@@ -101,17 +110,28 @@ mod tests {
         property uchar blue\nproperty float nx\nend_header\n";
 
     fn binary() -> Vec<u8> {
+        binary_with(f64::NAN)
+    }
+
+    /// Two points, the second with this x.
+    fn binary_with(second: f64) -> Vec<u8> {
         let row = |x: f64| {
             let position = [x, 2.0, 3.0].map(f64::to_le_bytes).concat();
             [position, vec![255, 0, 51], 0.5_f32.to_le_bytes().to_vec()].concat()
         };
-        [BINARY.as_bytes().to_vec(), vec![7], row(1.0), row(f64::NAN)].concat()
+        [BINARY.as_bytes().to_vec(), vec![7], row(1.0), row(second)].concat()
     }
 
     #[test]
     fn binary_points_are_read_and_those_that_are_not_finite_left_out() {
         let expected = ColouredPoint { position: DVec3::new(1.0, 2.0, 3.0), colour: [255, 0, 51] };
-        assert_eq!(points(&binary()).unwrap(), [expected]);
+        for no_place in [f64::NAN, f64::NEG_INFINITY, 1e39] {
+            let (points, skipped) = points_and_skipped(&binary_with(no_place)).unwrap();
+            assert_eq!(points, [expected], "{no_place}");
+            assert!(skipped.len() == 1 && skipped[0].contains("points.ply: 1 of 2 points"), "{skipped:?}");
+        }
+        let (points, skipped) = points_and_skipped(&binary_with(2.0)).unwrap();
+        assert!(points.len() == 2 && skipped.is_empty(), "{skipped:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::{Format, checked, file_called, rigid};
 use crate::media::{natural_order, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
 use ffgs_arrays::read_npy;
-use ffgs_core::{ImageSize, Intrinsics};
+use ffgs_core::{ImageSize, Intrinsics, counted};
 use glam::{DMat3, DMat4, DVec3};
 use std::path::Path;
 
@@ -26,9 +26,9 @@ fn read(_: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let mut pictures = pictures(&Media::find(file.parent().unwrap_or(Path::new(".")))?);
     if pictures.len() != rows.len() {
         let reason = format!(
-            "{} poses, but {} videos or image folders beside it: they belong together in the order of their names",
-            rows.len(),
-            pictures.len()
+            "{}, but pictures of {} beside it: they belong together in the order of their names",
+            counted(rows.len(), "pose"),
+            counted(pictures.len(), "camera")
         );
         return Err(CalibrationError::content(file, reason));
     }

@@ -60,7 +60,9 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
         footage.cameras.push(checked(camera, file)?);
     }
     if without > 0 {
-        footage.skipped.push(format!("{without} of {} cameras have no video or images here", entries.len()));
+        footage
+            .skipped
+            .push(format!("no video or images are here for {without} of {} cameras", entries.len()));
     }
     Ok(footage)
 }

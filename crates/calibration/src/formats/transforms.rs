@@ -1,14 +1,15 @@
 //! `transforms.json` of instant-ngp and nerfstudio: camera-to-world with OpenGL axes, intrinsics for all pictures or
 //! one each, COLMAP's pixel centres (0.5). nerfstudio's points (`ply_file_path`) lie in the same world.
 
+use super::left_out::{complete_masks, file_or_name};
 use super::point_ply::read_points;
 use super::{Format, checked, file_called, from_opengl, image_size, read_text};
-use crate::media::stem;
+use crate::media::{is_picture, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
-use ffgs_core::{ImageSize, Intrinsics, is_present};
+use ffgs_core::{ImageSize, Intrinsics, is_present, nan_to_null};
 use glam::DMat4;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Reads instant-ngp's and nerfstudio's camera lists.
@@ -19,7 +20,7 @@ pub const FORMAT: Format = Format {
     read,
 };
 
-#[derive(Clone, Default, Deserialize)]
+#[derive(Clone, Default, PartialEq, Deserialize)]
 struct Optics {
     fl_x: Option<f64>,
     fl_y: Option<f64>,
@@ -59,8 +60,9 @@ struct Transforms {
 
 fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let fail = |reason: String| CalibrationError::content(file, reason);
-    let text = super::dynamic3dgs::nan_to_null(&read_text(file)?);
-    let transforms: Transforms = serde_json::from_str(&text).map_err(|e| fail(e.to_string()))?;
+    let text = read_text(file)?;
+    let transforms: Transforms =
+        serde_json::from_str(&nan_to_null(&text)).map_err(|e| fail(e.to_string()))?;
     let home = file.parent().unwrap_or(folder);
     let media = Media::find(home)?;
     let mut footage = Footage::default();
@@ -69,7 +71,8 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
             entries.iter().copied().filter(|e| located(home, &media, e).is_some()).collect();
         let missing = entries.iter().filter(|e| located(home, &media, e).is_none());
         footage.skipped.extend(missing.map(|e| format!("{} is listed but not there", e.file_path)));
-        if let Some(camera) = source_camera(&transforms, home, &media, name, &there).map_err(fail)? {
+        if let Some(mut camera) = source_camera(&transforms, home, &media, &name, &there).map_err(fail)? {
+            camera.masks = masks(home, &camera, &there, &mut footage.skipped);
             footage.cameras.push(checked(camera, file)?);
         }
     }
@@ -77,7 +80,7 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     if let Some(name) = transforms.ply_file_path {
         let ply = home.join(&name);
         if is_present(&ply) {
-            footage.points = read_points(&ply)?;
+            footage.points = read_points(&ply, &mut footage.skipped)?;
         } else {
             footage.skipped.push(format!("{name} is listed but not there"));
         }
@@ -94,19 +97,35 @@ fn grouped(entries: &[Entry]) -> BTreeMap<String, Vec<&Entry>> {
     let mut folders: BTreeMap<PathBuf, Vec<&Entry>> = BTreeMap::new();
     entries.iter().for_each(|e| folders.entry(parent(e)).or_default().push(e));
     let cameras = folders.len() > 1 && folders.values().any(|v| v.len() > 1);
-    if cameras {
-        let name = |folder: PathBuf| stem(&folder);
-        return folders.into_iter().map(|(folder, entries)| (name(folder), entries)).collect();
-    }
-    entries.iter().map(|e| (stem(Path::new(&e.file_path)), vec![e])).collect()
+    if cameras { named(folders) } else { named(entries.iter().map(|e| (plain(e), vec![e])).collect()) }
 }
 
-/// The picture of an entry; `file_path` may lack its ending, and may name the first picture of a video.
+/// Each group by the last part of its path; by all of it where two would have the same name.
+fn named(groups: BTreeMap<PathBuf, Vec<&Entry>>) -> BTreeMap<String, Vec<&Entry>> {
+    let short: BTreeSet<String> = groups.keys().map(|path| bare(path)).collect();
+    let names = if short.len() == groups.len() { bare } else { joined };
+    groups.into_iter().map(|(path, entries)| (names(&path), entries)).collect()
+}
+
+fn joined(path: &Path) -> String {
+    let folders = path.parent().into_iter().flatten().map(|part| part.to_string_lossy().into_owned());
+    folders.chain([bare(path)]).collect::<Vec<_>>().join("_")
+}
+
+/// The last part of a path without the ending of a picture; what follows a dot in another name, as in `frame.0001`, belongs to it.
+fn bare(path: &Path) -> String {
+    let whole = || path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    if is_picture(path) { stem(path) } else { whole() }
+}
+
+/// The picture of an entry; `file_path` may lack its ending, or have that of pictures that were converted since, and may name the first picture of
+/// a video.
 fn located(home: &Path, media: &Media, entry: &Entry) -> Option<Pictures> {
+    const ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
     let path = home.join(&entry.file_path);
-    let endings = ["png", "jpg", "jpeg", "JPG", "PNG"].map(|ending| path.with_extension(ending));
-    let image = std::iter::once(path.clone()).chain(endings).find(|p| p.is_file());
-    let video = || media.videos().iter().find(|v| stem(v) == stem(&path)).map(|v| Pictures::Video(v.clone()));
+    let with_ending = |ending: &str| path.with_file_name(format!("{}.{ending}", bare(&path)));
+    let image = std::iter::once(path.clone()).chain(ENDINGS.map(with_ending)).find(|p| p.is_file());
+    let video = || media.videos().iter().find(|v| stem(v) == bare(&path)).map(|v| Pictures::Video(v.clone()));
     video().or_else(|| Some(Pictures::Files(vec![image?])))
 }
 
@@ -114,7 +133,7 @@ fn source_camera(
     all: &Transforms,
     home: &Path,
     media: &Media,
-    name: String,
+    name: &str,
     entries: &[&Entry],
 ) -> Result<Option<SourceCamera>, String> {
     let mut files = Vec::new();
@@ -126,26 +145,43 @@ fn source_camera(
         }
     }
     let Some(first) = entries.first() else { return Ok(None) };
-    let lens = lens(&all.optics, &first.optics, Some(&files[0]))?;
+    let lens = one_lens(all, entries, &files[0]).map_err(|reason| format!("camera '{name}': {reason}"))?;
     let poses = entries.iter().map(|e| pose(e)).collect::<Result<Vec<_>, _>>()?;
-    let masks = entries.iter().map(|e| Some(home.join(e.mask_path.as_ref()?)).filter(|p| p.is_file()));
-    let masks: Option<Vec<PathBuf>> = masks.collect();
-    let role = role(all, &first.file_path);
     let poses = if poses.iter().all(|p| *p == poses[0]) { vec![poses[0]] } else { poses };
-    Ok(Some(SourceCamera {
-        name,
-        lens,
-        poses,
-        pictures: Pictures::Files(files),
-        masks: masks.map(Pictures::Files),
-        role,
-    }))
+    let (name, role) = (name.to_owned(), role(all, &first.file_path));
+    Ok(Some(SourceCamera { name, lens, poses, pictures: Pictures::Files(files), masks: None, role }))
 }
 
-fn one_video(all: &Transforms, name: String, entry: &Entry, video: Pictures) -> Result<SourceCamera, String> {
+/// The lens of all entries of a camera, of which `picture` is the first.
+fn one_lens(all: &Transforms, entries: &[&Entry], picture: &Path) -> Result<Lens, String> {
+    let first = &entries[0].optics;
+    let of_first = lens(&all.optics, first, Some(picture))?;
+    for entry in entries.iter().filter(|entry| entry.optics != *first) {
+        of_first.refuse_other(&lens(&all.optics, &entry.optics, Some(picture))?, &entry.file_path)?;
+    }
+    Ok(of_first)
+}
+
+/// The masks that the entries of a camera name.
+fn masks(
+    home: &Path,
+    camera: &SourceCamera,
+    entries: &[&Entry],
+    skipped: &mut Vec<String>,
+) -> Option<Pictures> {
+    let unnamed = |entry: &Entry| format!("that of {}", entry.file_path);
+    let mask = |entry: &Entry| {
+        entry.mask_path.as_ref().map_or_else(|| Err(unnamed(entry)), |path| file_or_name(home.join(path)))
+    };
+    let masks = entries.iter().map(|entry| mask(entry)).collect();
+    let of_files = matches!(camera.pictures, Pictures::Files(_));
+    if of_files { complete_masks(&camera.name, masks, skipped) } else { None }
+}
+
+fn one_video(all: &Transforms, name: &str, entry: &Entry, video: Pictures) -> Result<SourceCamera, String> {
     let lens = lens(&all.optics, &entry.optics, None)?;
-    let poses = vec![pose(entry)?];
-    Ok(SourceCamera { name, lens, poses, pictures: video, masks: None, role: role(all, &entry.file_path) })
+    let (name, role) = (name.to_owned(), role(all, &entry.file_path));
+    Ok(SourceCamera { name, lens, poses: vec![pose(entry)?], pictures: video, masks: None, role })
 }
 
 /// nerfstudio lists the files that are held out; without the list nothing is said.

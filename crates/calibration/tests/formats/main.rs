@@ -1,5 +1,7 @@
 //! One rig, written by hand in every format, must come back the same.
 
+mod colmap;
+mod left_out;
 mod opencv;
 mod rig;
 
@@ -136,7 +138,9 @@ fn qualisys_in_millimetres() {
     let footage = read(pictures.path(), "qualisys");
     assert_rig(&footage.cameras, true);
     assert_eq!(footage.metres_per_unit, Some(0.001));
-    assert!(footage.skipped == ["1 of 3 cameras have no video or images here"] && footage.assumed.is_empty());
+    assert!(
+        footage.skipped == ["no video or images are here for 1 of 3 cameras"] && footage.assumed.is_empty()
+    );
     write(&pictures, "calibration/trial.qca.txt", &text("viewrotation=\"90\""));
     assert!(read(pictures.path(), "qualisys").assumed[0].contains("23087"));
     write(&pictures, "calibration/trial.qca.txt", &text("active=\"0\""));
@@ -196,7 +200,7 @@ fn n3dv_with_columns_down_right_back() {
     fs::remove_file(pictures.path().join("images/cam01.png")).unwrap();
     let (format, file) = detect(pictures.path(), Some("n3dv")).unwrap();
     let error = (format.read)(pictures.path(), &file).unwrap_err().to_string();
-    assert!(error.contains("2 poses, but 1"), "{error}");
+    assert!(error.contains("2 poses, but pictures of 1 camera beside it"), "{error}");
 }
 
 /// numpy's format, version 1.0.

@@ -113,7 +113,7 @@ impl Console {
         }
         let show = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.2}"));
         self.say(&format!(
-            "mean over {views}, frames >= 1: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s per frame",
+            "mean over {views}, frames after the first: PSNR {} dB, MPSNR {} dB, SSIM {}, {} s per frame",
             show(psnr),
             show(mpsnr),
             show(ssim),

@@ -72,7 +72,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
             terminal::print(check.to_string().trim_end());
             if let Some(folder) = &args.pictures {
                 let count = crate::commands::check::pictures::write(&args.capture, folder)?;
-                terminal::print(format!("{count} pictures in {}", folder.display()));
+                terminal::print(format!("{} in {}", ffgs_core::counted(count, "picture"), folder.display()));
             }
             return Ok(if check.is_usable() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
         }

@@ -7,7 +7,7 @@ use crate::outputs::json::{read_json, write_json};
 use crate::plugins::choice::{MethodChoice, MethodParser};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use ffgs_core::write_atomically;
+use ffgs_core::{counted, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -94,11 +94,11 @@ struct RunJobs {
 /// # Errors
 /// When a capture cannot be used, or the folder has another workflow.
 pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
-    let mut runs = BTreeMap::new();
+    let (mut runs, mut plans) = (BTreeMap::new(), Vec::new());
     for capture in &args.captures {
         let path =
             std::fs::canonicalize(capture).with_context(|| format!("no capture at {}", capture.display()))?;
-        for &seed in &args.seeds {
+        for seed in distinct(&args.seeds) {
             for method in args.chosen() {
                 let name =
                     format!("{}-{method}-{seed}", path.file_name().unwrap_or_default().to_string_lossy());
@@ -106,10 +106,12 @@ pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
                     is_plain(&name),
                     "{name}: folders of captures need names of letters, digits, '-', '_' and '.'"
                 );
-                let jobs = args.jobs(&path, &name, &method, seed)?;
+                let (jobs, plan) = args.jobs(&path, &name, &method, seed)?;
+                plans.extend(plan.map(|plan| (args.out.join(&name), plan)));
                 ensure!(
                     runs.insert(name.clone(), jobs).is_none(),
-                    "two captures are called {name}; rename one"
+                    "two captures are called {}; rename one",
+                    path.file_name().unwrap_or_default().display()
                 );
             }
         }
@@ -123,6 +125,7 @@ pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
         "{} holds another workflow; choose another --out or remove it",
         args.out.display()
     );
+    plans.iter().try_for_each(|(folder, plan)| plan.write(folder))?;
     for (name, text) in FILES {
         put(&args.out.join(name), text)?;
     }
@@ -131,9 +134,9 @@ pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
     }
     write_json(&file, &settings)?;
     terminal::print(format!(
-        "{}: {} runs; start them there with snakemake",
+        "{}: {}; start them there with snakemake",
         args.out.display(),
-        settings.runs.len()
+        counted(settings.runs.len(), "run")
     ));
     Ok(())
 }
@@ -141,11 +144,17 @@ pub(crate) fn write(args: &WorkflowArgs) -> Result<()> {
 impl WorkflowArgs {
     /// The methods; the default when none is named.
     fn chosen(&self) -> Vec<MethodChoice> {
-        if self.methods.is_empty() { vec![MethodChoice::default()] } else { self.methods.clone() }
+        if self.methods.is_empty() { vec![MethodChoice::default()] } else { distinct(&self.methods) }
     }
 
-    /// A run's jobs; the plan of its parts is written.
-    fn jobs(&self, capture: &Path, name: &str, method: &MethodChoice, seed: u64) -> Result<RunJobs> {
+    /// A run's jobs, and the plan of its parts where it has any.
+    fn jobs(
+        &self,
+        capture: &Path,
+        name: &str,
+        method: &MethodChoice,
+        seed: u64,
+    ) -> Result<(RunJobs, Option<Plan>)> {
         if *method == MethodChoice::default() {
             let plan = Plan::new(&PlanArgs {
                 capture: capture.to_owned(),
@@ -156,20 +165,30 @@ impl WorkflowArgs {
                 seed: Some(seed),
                 ..PlanArgs::default()
             })?;
-            plan.write(&self.out.join(name))?;
-            return Ok(RunJobs { parts: plan.parts().len(), command: String::new() });
+            return Ok((RunJobs { parts: plan.parts().len(), command: String::new() }, Some(plan)));
         }
         let frames = self.frames.map_or(String::new(), |f| {
             format!(" --frames {}..{}", f.start, f.end.map_or(String::new(), |end| end.to_string()))
         });
         let config = match &self.config {
-            Some(file) => format!(" --config '{}'", std::fs::canonicalize(file)?.display()),
+            Some(file) => format!(" --config {}", quoted(&std::fs::canonicalize(file)?)),
             None => String::new(),
         };
         let command =
-            format!("'{}' --out {name} --method {method} --seed {seed}{frames}{config}", capture.display());
-        Ok(RunJobs { parts: 0, command })
+            format!("{} --out {name} --method {method} --seed {seed}{frames}{config}", quoted(capture));
+        Ok((RunJobs { parts: 0, command }, None))
     }
+}
+
+/// Each once, in the order in which they were named.
+fn distinct<T: Clone + PartialEq>(named: &[T]) -> Vec<T> {
+    let is_first = |(i, value): &(usize, &T)| !named[..*i].contains(value);
+    named.iter().enumerate().filter(is_first).map(|(_, value)| value.clone()).collect()
+}
+
+/// A path as one word of a shell's command.
+fn quoted(path: &Path) -> String {
+    format!("'{}'", path.display().to_string().replace('\'', r"'\''"))
 }
 
 /// Whether a name is safe in a shell and in a pattern of Snakemake.
@@ -211,6 +230,16 @@ mod tests {
         assert_eq!(written("jobs: 8\n"), "jobs: 64\n");
         std::fs::remove_file(&file).unwrap();
         assert_eq!(written("jobs: 9\n"), "jobs: 9\n", "ours again");
+    }
+
+    #[test]
+    fn what_is_named_twice_counts_once_and_paths_are_one_word() {
+        assert_eq!(distinct(&[2, 1, 2, 3, 1]), [2, 1, 3]);
+        let words = std::process::Command::new("sh")
+            .args(["-c", &format!("printf '%s|' {}", quoted(Path::new("/tom's own/a b")))])
+            .output()
+            .unwrap();
+        assert_eq!(String::from_utf8(words.stdout).unwrap(), "/tom's own/a b|");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `run.json`: what was run, on what, with which settings.
 
-use crate::job::provenance::{VERSION, capture_digest};
+use crate::job::provenance::{VERSION, capture_digest, file_digest};
 use crate::job::request::RunRequest;
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
@@ -32,6 +32,9 @@ pub struct Manifest {
     pub train_views: Option<Vec<String>>,
     /// Run that frame 0 was taken from.
     pub first_frame: Option<PathBuf>,
+    /// Digest of that frame's Gaussians; empty where they are gone, and in old runs.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub first_frame_digest: String,
     /// Iterations for which that frame was finetuned; absent when it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refine_first: Option<usize>,
@@ -81,7 +84,8 @@ impl Manifest {
             frames: frames.clone(),
             method: method.clone(),
             train_views: request.train_views.clone(),
-            first_frame: request.first_frame.clone(),
+            first_frame: request.first_frame.as_deref().map(absolute),
+            first_frame_digest: digest_of_first(request, frames.start)?,
             refine_first: request.refine_first,
             segment_length: None,
             device,
@@ -115,7 +119,7 @@ impl Manifest {
             );
             self.other_instructions(&other).into_iter().for_each(|words| tracing::warn!("{out}: {words}"));
         }
-        if has_frames(&folder.0) {
+        if folder.has_finished_frames() {
             ensure!(resume, "{out} holds finished frames; add --resume, or choose another --out");
             ensure!(
                 file.exists(),
@@ -138,7 +142,7 @@ impl Manifest {
     }
 
     /// What keeps this run from going on with `other`, a setting each. Threads and the last frame may differ: results do
-    /// not depend on them. So may the capture's place when its content is the same.
+    /// not depend on them. So may the places of the capture and of the first frame when their content is the same.
     fn differences(&self, other: &Self) -> Vec<String> {
         let mut same = other.clone();
         (same.machine, same.instructions) = (self.machine.clone(), self.instructions.clone());
@@ -149,13 +153,21 @@ impl Manifest {
         if other.capture_digest == self.capture_digest {
             (same.capture, same.capture_path) = (self.capture.clone(), self.capture_path.clone());
         }
+        same.first_frame = other.first_frame.as_deref().map(absolute);
+        let [theirs, ours] = [other, self].map(|manifest| &manifest.first_frame_digest);
+        if theirs == ours && !ours.is_empty() {
+            same.first_frame.clone_from(&self.first_frame);
+        }
+        if theirs.is_empty() || ours.is_empty() {
+            same.first_frame_digest.clone_from(ours);
+        }
         different_settings(&same, self)
     }
 
-    /// Refuses a first frame of another capture and says what else it was made with.
+    /// Refuses a first frame of another capture, and warns of other settings that the first frame depends on.
     ///
     /// # Errors
-    /// When that run is of another capture or of settings that the first frame depends on.
+    /// When that run is of another capture, or none.
     pub(crate) fn check_first_frame(&self, run: &RunFolder) -> Result<()> {
         let other: Self = read_json(&run.manifest()).context("--first-frame: not a run")?;
         let known = !other.capture_digest.is_empty();
@@ -211,11 +223,19 @@ fn different_settings(there: &Manifest, here: &Manifest) -> Vec<String> {
             differences.push(format!("{key} is {before} there and {value} here"));
         }
     });
+    // What was asked for there alone.
+    differences.extend(found.iter().map(|(key, value)| format!("{key} is {value} there and not set here")));
     differences
 }
 
-fn has_frames(folder: &Path) -> bool {
-    std::fs::read_dir(folder.join("frames")).is_ok_and(|mut entries| entries.next().is_some())
+/// The folder by its whole path; one that is not there as it was named.
+fn absolute(folder: &Path) -> PathBuf {
+    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned())
+}
+
+fn digest_of_first(request: &RunRequest, frame: usize) -> Result<String> {
+    let state = request.first_frame.as_ref().map(|run| RunFolder(run.clone()).state(frame));
+    state.filter(|state| state.is_file()).map_or(Ok(String::new()), |state| file_digest(&state))
 }
 
 #[cfg(test)]
@@ -230,6 +250,7 @@ mod tests {
             method: MethodChoice::default(),
             train_views: None,
             first_frame: None,
+            first_frame_digest: String::new(),
             refine_first: None,
             segment_length: None,
             device: "CPU".into(),
@@ -257,6 +278,34 @@ mod tests {
         assert_eq!(differing(|there| there.frames.start = 1), ["frames.start is 1 there and 0 here"]);
     }
 
+    /// What one run alone asked for is a difference from both sides.
+    #[test]
+    fn what_is_left_out_is_a_difference() {
+        let told = differing(|there| there.refine_first = Some(50));
+        assert_eq!(told, ["refine_first is 50 there and not set here"]);
+        let refined = Manifest { refine_first: Some(50), ..manifest() };
+        assert_eq!(refined.differences(&manifest()), ["refine_first is null there and 50 here"]);
+        assert_eq!(refined.differences(&refined), [""; 0]);
+        assert_eq!(differing(|there| there.segment_length = Some(9)).len(), 1, "a joined run");
+    }
+
+    #[test]
+    fn a_first_frame_is_known_by_its_content_wherever_it_lies() {
+        let from = |path: &str, digest: &str| Manifest {
+            first_frame: Some(path.into()),
+            first_frame_digest: digest.into(),
+            ..manifest()
+        };
+        let differences = |a: (&str, &str), b: (&str, &str)| from(b.0, b.1).differences(&from(a.0, a.1));
+        assert_eq!(differences(("/a", "1-2"), ("/moved", "1-2")), [""; 0]);
+        assert_eq!(differences(("/a", "1-2"), ("/a", "3-4")).len(), 1, "made again since");
+        assert_eq!(differences(("/a", ""), ("/a", "3-4")), [""; 0], "of an old run");
+        assert_eq!(differences(("/a", ""), ("/b", "3-4")).len(), 1);
+        let here = std::env::current_dir().unwrap();
+        let spelt = (here.to_str().unwrap(), ".");
+        assert_eq!(differences((spelt.1, ""), (spelt.0, "")), [""; 0], "another spelling of one folder");
+    }
+
     #[test]
     fn what_decides_nothing_may_differ() {
         assert!(differing(|there| there.machine = "another".into()).is_empty());
@@ -282,6 +331,8 @@ mod tests {
         manifest().claim(&folder, false).unwrap();
         assert_eq!(read_json::<Manifest>(&folder.manifest()).unwrap(), manifest());
         std::fs::create_dir_all(folder.frame(0)).unwrap();
+        manifest().claim(&folder, false).unwrap();
+        std::fs::write(folder.state(0), "x").unwrap();
         let refused = manifest().claim(&folder, false).unwrap_err().to_string();
         assert!(refused.contains("add --resume"), "{refused}");
         manifest().claim(&folder, true).unwrap();

@@ -64,6 +64,14 @@ pub(crate) fn frame_digest(sums: &[&[Checksum]]) -> String {
     format!("{:08x}-{bytes}", crc32fast::hash(&all))
 }
 
+/// Digest of a file.
+///
+/// # Errors
+/// When it cannot be read.
+pub(crate) fn file_digest(file: &Path) -> Result<String> {
+    Ok(frame_digest(&[&[checksum(file)?]]))
+}
+
 /// The tracker files of the motion into a frame.
 fn track_files(capture: &dyn Capture, views: &[usize], frame: usize) -> Result<Vec<PathBuf>> {
     let Some(store) = TrackStore::of(capture)?.filter(|_| frame > 0) else { return Ok(Vec::new()) };

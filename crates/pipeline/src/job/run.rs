@@ -64,17 +64,27 @@ fn run_frames(job: &Job, go_on: &dyn Fn() -> Result<()>) -> Result<PathBuf> {
     let console = Console::new(job.request.quiet, job.frames.clone());
     let mut reconstructor = job.reconstructor(&console)?;
     let (mut metrics, mut last) = job.finished_frames(&mut reconstructor)?;
-    let result = job.frames_after(&mut metrics, &mut last, &mut reconstructor, &console, go_on);
-    if let (Ok(()), Some(last), Some(record)) = (&result, &last, metrics.frames.last()) {
-        write_turntable(&job.folder, &*job.capture, record.frame, &last.scene, job.devices())?;
-    }
+    let run = job.frames_after(&mut metrics, &mut last, &mut reconstructor, &console, go_on);
+    let drawn = match (&run, &last, metrics.frames.last()) {
+        (Ok(()), Some(last), Some(record)) => {
+            write_turntable(&job.folder, &*job.capture, record.frame, &last.scene, job.devices())
+        }
+        _ => Ok(()),
+    };
     // Also when a frame failed: those before it are finished.
-    if result.is_ok() || !metrics.frames.is_empty() {
-        job.publish(&metrics)?;
-    }
-    result?;
+    let has_news = run.is_ok() || !metrics.frames.is_empty();
+    let published = if has_news { job.publish(&metrics) } else { Ok(()) };
+    first_error([run, published, drawn])?;
     console.finish(&metrics);
     Ok(job.folder.0.join("report.html"))
+}
+
+/// The first of the errors; the others are told.
+fn first_error<const N: usize>(results: [Result<()>; N]) -> Result<()> {
+    let mut errors = results.into_iter().filter_map(Result::err);
+    let first = errors.next().map_or(Ok(()), Err);
+    errors.for_each(|error| tracing::warn!("{error:#}"));
+    first
 }
 
 /// Least time between two publications, in units of the duration of the first of them. Publishing takes longer the more
@@ -124,6 +134,7 @@ impl<'a> Job<'a> {
         }
         let folder = RunFolder(request.out.clone());
         require_start(request, &folder, frames.start)?;
+        require_end(request, &folder, frames.clone())?;
         let gpus = request.device.open_within(request.memory)?;
         // A method that cannot be made leaves the output folder untouched.
         let context = MethodContext { config: &request.config, tracks: &tracks, gpu: gpus.first() };
@@ -216,9 +227,13 @@ impl<'a> Job<'a> {
     fn finished_frames(&self, reconstructor: &mut Reconstructor) -> Result<(Metrics, Option<State>)> {
         let finished = |frame: &usize| self.request.resume && self.folder.is_finished(*frame);
         let frames: Vec<usize> = self.frames.clone().take_while(finished).collect();
-        // What an interrupted run had begun to remove.
-        let half_thinned = |f: &&usize| self.folder.thinned(**f).exists() && Some(*f) != frames.last();
-        frames.iter().filter(half_thinned).try_for_each(|&frame| self.folder.thin(frame))?;
+        // What an interrupted run had begun to remove, or would have removed next.
+        let before_last = frames.iter().rev().nth(1).copied();
+        let is_left = |f: &&usize| {
+            Some(*f) != frames.last()
+                && (self.folder.thinned(**f).exists() || Some(**f) == before_last && !self.keeps(**f))
+        };
+        frames.iter().filter(is_left).try_for_each(|&frame| self.folder.thin(frame))?;
         let records = frames.iter().map(|&frame| self.finished_record(frame));
         let metrics = Metrics::of(records.collect::<Result<_>>()?);
         let load = |&frame: &usize| -> Result<State> {
@@ -476,6 +491,17 @@ fn require_start(request: &RunRequest, folder: &RunFolder, start: usize) -> Resu
         );
     }
     Ok(())
+}
+
+/// A resumed run goes on from the last of the finished frames, or ends with it.
+fn require_end(request: &RunRequest, folder: &RunFolder, frames: Range<usize>) -> Result<()> {
+    let finished = frames.take_while(|frame| request.resume && folder.is_finished(*frame));
+    let Some(last) = finished.last().filter(|last| folder.thinned(*last).exists()) else { return Ok(()) };
+    bail!(
+        "{} does not keep the Gaussians of frame {last} (--keep), with which --frames would end the run; a frame can be \
+         shown alone by ffgs render, or leave --frames as it was",
+        folder.0.display()
+    )
 }
 
 #[cfg(test)]

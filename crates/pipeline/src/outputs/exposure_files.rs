@@ -5,7 +5,7 @@ use crate::job::provenance::Checksum;
 use crate::outputs::folder::RunFolder;
 use crate::outputs::json::{read_json, write_json};
 use anyhow::{Context, Result, ensure};
-use ffgs_core::TrainingView;
+use ffgs_core::{TrainingView, counted};
 use ffgs_method::{Capture, ViewAt};
 use ffgs_reconstruction::Exposures;
 use std::path::Path;
@@ -102,8 +102,8 @@ pub(crate) fn exposures_fact(usual: &Exposures, changing: usize) -> Option<Strin
             usual.deviation()
         )
     };
-    let change =
-        (changing > 0).then(|| format!("change in {changing} frames (frames/NNNNNN/exposures.json)"));
+    let change = (changing > 0)
+        .then(|| format!("change in {} (frames/NNNNNN/exposures.json)", counted(changing, "frame")));
     let found: Vec<String> = usual.furthest().map(differ).into_iter().chain(change).collect();
     let told = found.join("; ");
     (!found.is_empty()).then(|| format!("{told}; removed from the photographs, given back to the renders"))

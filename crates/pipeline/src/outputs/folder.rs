@@ -20,6 +20,11 @@ const HEAVY: [(&str, &str); 7] = [
     ("state", ".ffgs"),
 ];
 
+/// A frame's exact state,
+pub(crate) const STATE: &str = "state.ffgs";
+/// and the mark of one that is finished without.
+const THINNED: &str = "thinned";
+
 /// Where the files of a run lie.
 #[derive(Clone, Debug)]
 pub struct RunFolder(pub PathBuf);
@@ -32,17 +37,22 @@ impl RunFolder {
 
     /// The frame's exact state; it exists when, and only when, the frame is finished.
     pub fn state(&self, frame: usize) -> PathBuf {
-        self.frame(frame).join("state.ffgs")
+        self.frame(frame).join(STATE)
     }
 
     /// Whether the frame is finished, also when its Gaussians are not kept.
     pub fn is_finished(&self, frame: usize) -> bool {
-        self.state(frame).exists() || self.thinned(frame).exists()
+        is_finished(&self.frame(frame))
+    }
+
+    /// Whether any frame is.
+    pub(crate) fn has_finished_frames(&self) -> bool {
+        entries(&self.0.join("frames")).iter().any(|frame| is_finished(frame))
     }
 
     /// There when the frame is finished and its Gaussians are not kept.
     pub(crate) fn thinned(&self, frame: usize) -> PathBuf {
-        self.frame(frame).join("thinned")
+        self.frame(frame).join(THINNED)
     }
 
     /// Removes the Gaussians and the full-size pictures of a finished frame. Its numbers, the pictures of the report and what a
@@ -170,6 +180,11 @@ impl RunFolder {
     pub fn manifest(&self) -> PathBuf {
         self.0.join("run.json")
     }
+}
+
+/// Of a frame's folder.
+fn is_finished(frame: &Path) -> bool {
+    [STATE, THINNED].iter().any(|name| frame.join(name).exists())
 }
 
 fn refuse_link_at(path: &Path) -> Result<()> {

@@ -168,11 +168,11 @@ pub struct TrainingMean {
 /// `metrics.json`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Metrics {
-    /// Over all test views and frames >= 1.
+    /// Over all test views and the frames after the run's first.
     pub mean: Mean,
     /// Over the test cameras that stand still.
     pub mean_trackside: Mean,
-    /// Over the training views of all frames >= 1 where there are no test views; else absent.
+    /// Over the training views of the frames after the run's first where there are no test views; else absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean_training_views: Option<TrainingMean>,
     /// Every frame.
@@ -185,8 +185,13 @@ pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (n > 0).then(|| sum / n as f64)
 }
 
+/// The frames after the run's first, which is trained from scratch or taken from another run.
+pub(crate) fn after_first(frames: &[FrameRecord]) -> &[FrameRecord] {
+    frames.get(1..).unwrap_or_default()
+}
+
 fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mean {
-    let later: Vec<&FrameRecord> = frames.iter().filter(|f| f.frame > 0).collect();
+    let later = after_first(frames);
     let views: Vec<&ViewMetrics> = later.iter().flat_map(|f| &f.views).filter(|v| keep(v)).collect();
     let (psnr, vmaf) = (mean(views.iter().map(|v| v.psnr)), mean(views.iter().filter_map(|v| v.vmaf)));
     let seconds = mean(later.iter().filter_map(|f| f.log.seconds.get(stage::WALL).copied()));
@@ -211,7 +216,7 @@ fn summarise(frames: &[FrameRecord], keep: impl Fn(&ViewMetrics) -> bool) -> Mea
 }
 
 fn summarise_training_views(frames: &[FrameRecord]) -> Option<TrainingMean> {
-    let views = || frames.iter().filter(|f| f.frame > 0).flat_map(|f| &f.training_views);
+    let views = || after_first(frames).iter().flat_map(|f| &f.training_views);
     frames.iter().any(|f| !f.training_views.is_empty()).then(|| TrainingMean {
         psnr: mean(views().map(|v| v.psnr)),
         mpsnr: mean(views().filter_map(|v| v.mpsnr)),

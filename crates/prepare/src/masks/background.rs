@@ -1,7 +1,7 @@
 //! What a fixed camera sees where nothing moves: a colour and its spread per pixel, from samples over time.
 
 use super::continuation::continued;
-use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, median};
 use rayon::prelude::*;
 use std::borrow::Borrow;
 
@@ -125,15 +125,13 @@ impl Samples<'_> {
                 std::array::from_fn(|c| to[c] - from[c])
             })
             .collect();
-        std::array::from_fn(|c| median(steps.iter().map(|step| step[c]).collect()))
+        std::array::from_fn(|c| middle(steps.iter().map(|step| step[c])))
     }
 }
 
 /// The middle value; 0 of none.
-pub(super) fn median(mut values: Vec<f32>) -> f32 {
-    values.sort_unstable_by(f32::total_cmp);
-    let n = values.len();
-    if n == 0 { 0.0 } else { f32::midpoint(values[(n - 1) / 2], values[n / 2]) }
+pub(super) fn middle(values: impl Iterator<Item = f32>) -> f32 {
+    median(values.map(f64::from)).unwrap_or(0.0) as f32
 }
 
 fn same(a: &[f32; 3], b: &[f32; 3]) -> bool {

@@ -2,7 +2,7 @@
 //! the trunk between the outlines is that background: it is enclosed by what moves, and what texture it has does not lie still
 //! (docs/adr/0102-what-is-enclosed-and-does-not-lie-still-moves.md).
 
-use super::background::{Background, colour, median, stride};
+use super::background::{Background, colour, middle, stride};
 use super::difference::is_shadow;
 use super::regions;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
@@ -27,7 +27,7 @@ pub(super) fn enclosed(background: &Background, images: &[ImageRgb8], masks: &[M
         .step_by(stride(size.pixels()))
         .filter(|&i| near.data()[i] == 0)
         .filter_map(|i| sway[i]);
-    let least = SWAY_PX.max(OF_CAMERA * median(others.collect()));
+    let least = SWAY_PX.max(OF_CAMERA * middle(others));
     let filled = regions::filled_where(&together, |pixels| {
         let (mut textured, mut moving, mut inside) = (0, 0, true);
         for i in pixels {
@@ -66,7 +66,7 @@ fn sway(background: &Background, images: &[ImageRgb8]) -> Vec<Option<f32>> {
     };
     let (mean, spread): (Vec<[f32; 3]>, Vec<f32>) =
         (0..background.size.pixels()).into_par_iter().map(moments).unzip();
-    let noise = median(spread.iter().step_by(stride(spread.len())).copied().collect());
+    let noise = middle(spread.iter().step_by(stride(spread.len())).copied());
     let sway = |i: usize| {
         let step = step(&mean, background.size, i);
         (step > TEXTURE).then(|| (spread[i] * spread[i] - noise * noise).max(0.0).sqrt() / step)

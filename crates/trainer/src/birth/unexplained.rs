@@ -1,6 +1,6 @@
 //! Foreground that the moving layer does not show.
 
-use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, TrainingView};
+use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, TrainingView, upper_median};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 
 /// Alpha of the moving layer from which a pixel shows it.
@@ -32,9 +32,9 @@ pub fn unexplained(layer: &Gaussians, view: &TrainingView) -> Mask {
     let of_layer = |p: usize| difference(tape.image(), &view.image, p) / alpha[p];
     let differences: Vec<f32> =
         (0..size.pixels()).map(|p| if foreground(&p) && shown[p] { of_layer(p) } else { 0.0 }).collect();
-    let wrong = (UNUSUAL
-        * median((0..size.pixels()).filter(|p| foreground(p) && shown[*p]).map(|p| differences[p])))
-    .max(WRONG);
+    let of_shown =
+        (0..size.pixels()).filter(|p| foreground(p) && shown[*p]).map(|p| f64::from(differences[p]));
+    let wrong = (UNUSUAL * upper_median(of_shown).unwrap_or(0.0) as f32).max(WRONG);
     let open = (0..size.pixels()).map(|p| u8::from(foreground(&p) && (!shown[p] || differences[p] > wrong)));
     let narrow = (NARROW * size.width.max(size.height) as f64).round().max(1.0) as usize;
     let open = Mask::new(size, open.collect()).expect("one value per pixel").opened(narrow);
@@ -55,13 +55,6 @@ fn difference(rendered: &PlanarImage, photograph: &ImageRgb8, p: usize) -> f32 {
         }
     }
     sum.iter().map(|s| s.abs()).sum::<f32>() / (3.0 * count)
-}
-
-/// 0 for none.
-fn median(values: impl Iterator<Item = f32>) -> f32 {
-    let mut values: Vec<f32> = values.collect();
-    let half = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f32::total_cmp).1 }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ pub(crate) mod pictures;
 
 use crate::plugins::registry::open_capture;
 use anyhow::Result;
-use ffgs_core::ImageSize;
+use ffgs_core::{ImageSize, counted};
 use ffgs_dataset::{CheckReport, ImageCheck, Note, check_with_progress};
 use ffgs_method::{Capture, Part, Split, ViewAt};
 use ffgs_prepare::{Step, Summary};
@@ -52,7 +52,7 @@ impl CaptureCheck {
         let notes: Vec<String> = notes.chain(content).collect();
         notes.iter().take(NOTES).for_each(|note| tracing::warn!("{note}"));
         if let Some(more @ 1..) = notes.len().checked_sub(NOTES) {
-            tracing::warn!("and {more} notes more: `ffgs check` lists them");
+            tracing::warn!("`ffgs check` lists {} more", counted(more, "note"));
         }
     }
 }

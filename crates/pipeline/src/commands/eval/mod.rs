@@ -11,9 +11,10 @@ use crate::job::lock::FolderLock;
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
-use crate::outputs::record::{FrameRecord, Mean, Metrics, ViewMetrics};
+use crate::outputs::record::{FrameRecord, Mean, Metrics, ViewMetrics, after_first};
 use crate::outputs::scoring::{load_tests, score};
 use anyhow::{Result, anyhow, bail};
+use ffgs_core::counted;
 use ffgs_method::Split;
 use ffgs_reconstruction::Devices;
 use ffgs_report::FramePictures;
@@ -60,7 +61,8 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     let vmaf = match () {
         () if args.no_vmaf => Err(anyhow!("left out by --no-vmaf")),
         () if !run.thinned.is_empty() => {
-            Err(anyhow!("the pictures of {} frames were not kept (--keep of the run)", run.thinned.len()))
+            let frames = counted(run.thinned.len(), "frame");
+            Err(anyhow!("the pictures of {frames} were not kept (--keep of the run)"))
         }
         () => Vmaf::find(),
     };
@@ -98,7 +100,7 @@ pub fn measure(args: &EvalArgs) -> Result<(Metrics, Option<String>)> {
     Ok((metrics, vmaf.err().map(|reason| reason.to_string())))
 }
 
-/// One row per frame, then the mean over all views of all frames, and over those of frames >= 1 as in metrics.json.
+/// One row per frame, then the mean over all views of all frames, and over those of the frames after the run's first, as in metrics.json.
 fn table(records: &[FrameRecord]) -> String {
     let titles = ["PSNR", "MPSNR", "SSIM", "VMAF", "flicker", "MSSIM", "MVMAF", "mflicker"];
     let titles = titles.map(|title| format!("  {title:>8}")).concat();
@@ -107,9 +109,9 @@ fn table(records: &[FrameRecord]) -> String {
         text += &row(&record.frame.to_string(), &record.views.iter().collect::<Vec<_>>());
     }
     text += &row("mean", &records.iter().flat_map(|r| &r.views).collect::<Vec<_>>());
-    if records.iter().any(|r| r.frame > 0) {
-        let later = records.iter().filter(|r| r.frame > 0).flat_map(|r| &r.views);
-        text += &row("mean >= 1", &later.collect::<Vec<_>>());
+    let later = after_first(records);
+    if !later.is_empty() {
+        text += &row("mean later", &later.iter().flat_map(|r| &r.views).collect::<Vec<_>>());
     }
     text
 }
@@ -133,7 +135,7 @@ fn row(name: &str, views: &[&ViewMetrics]) -> String {
     format!("{name:>10}{}\n", cells.map(|cell| format!("  {cell:>8}")).concat())
 }
 
-/// What the frames >= 1 cost, and the paper's efficiencies.
+/// What the frames after the first cost, and the paper's efficiencies.
 fn costs(mean: &Mean) -> String {
     let text =
         |value: Option<f64>, scale: f64| value.map_or("-".into(), |value| format!("{:.2}", value * scale));
@@ -158,11 +160,17 @@ mod tests {
         let later = ViewMetrics { mssim: Some(0.25), mvmaf: Some(60.0), mflicker: Some(4.5), ..whole };
         let of = |frame, views| FrameRecord { frame, views, ..FrameRecord::default() };
         let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![later])]);
+        let begun_later = table(&[of(5, vec![view(20.0, None)]), of(6, vec![later])]);
+        assert_eq!(
+            begun_later.lines().last(),
+            text.lines().last(),
+            "the run's first frame, whatever its number"
+        );
         let words: Vec<Vec<&str>> = text.lines().map(|l| l.split_whitespace().collect()).collect();
         assert_eq!(words[1], ["0", "20.00", "-", "0.5000", "-", "-", "-", "-", "-"]);
         let masked = ["0.2500", "60.00", "4.500"];
         assert_eq!(words[3][..6], ["mean", "25.00", "10.00", "0.5000", "80.00", "1.500"]);
-        assert_eq!(words[4][..8], ["mean", ">=", "1", "30.00", "10.00", "0.5000", "80.00", "1.500"]);
-        assert_eq!((&words[3][6..], &words[4][8..]), (&masked[..], &masked[..]));
+        assert_eq!(words[4][..7], ["mean", "later", "30.00", "10.00", "0.5000", "80.00", "1.500"]);
+        assert_eq!((&words[3][6..], &words[4][7..]), (&masked[..], &masked[..]));
     }
 }

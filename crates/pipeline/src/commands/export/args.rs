@@ -2,6 +2,7 @@
 
 use crate::cli::args::LogArgs;
 use crate::job::request::FrameRange;
+use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use ffgs_splats::FORMATS;
@@ -32,38 +33,88 @@ pub struct ExportArgs {
     /// Frames A to B, B left out; `..B` and `A..` are allowed
     #[arg(long, value_name = "A..B")]
     pub frames: Option<FrameRange>,
-    /// What to write; static and dynamic together are one file
-    #[arg(long, value_name = "LAYER,LAYER", value_delimiter = ',', default_values = ["static", "dynamic", "sky"])]
-    pub layers: Vec<Layer>,
-    /// Do not fit the Gaussians to plain viewers
+    /// What to write into files; static and dynamic together are one [default: static,dynamic,sky]
+    #[arg(long, value_name = "LAYER,LAYER", value_delimiter = ',')]
+    pub layers: Option<Vec<Layer>>,
+    /// Do not fit the Gaussians of files to plain viewers
     #[arg(long)]
     pub native: bool,
-    /// Steps that fit the first frame to plain viewers; later frames take a third of them
-    #[arg(long, value_name = "N", default_value_t = 2000, conflicts_with = "native")]
-    pub bake_iterations: usize,
+    /// Steps that fit the first frame to plain viewers; later frames take a third of them [default: 2000]
+    #[arg(long, value_name = "N", conflicts_with = "native")]
+    pub bake_iterations: Option<usize>,
     /// Also compare renders of the export with the run's own, in the test views
     #[arg(long)]
     pub measure: bool,
-    /// How fine a stream is: 2 halves every step
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
-    pub precision: f64,
-    /// Store the standard deviation of each position, for the viewer's overlay of uncertainty
+    /// How fine a stream is: 2 halves every step [default: 1]
+    #[arg(long, value_name = "FACTOR", value_parser = factor)]
+    pub precision: Option<f64>,
+    /// Store the standard deviation of each position in a stream, for the viewer's overlay of uncertainty
     #[arg(long)]
     pub uncertainty: bool,
-    /// Playback rate of a stream (frames per second)
-    #[arg(long, value_name = "FPS", default_value_t = 30.0, value_parser = factor)]
-    pub frames_per_second: f64,
+    /// Playback rate of a stream (frames per second) [default: 30]
+    #[arg(long, value_name = "FPS", value_parser = factor)]
+    pub frames_per_second: Option<f64>,
     /// Messages.
     #[command(flatten)]
     pub log: LogArgs,
 }
 
 /// What is no file per frame: a stream, and one with the page that plays it.
-pub(super) const STREAM: &str = "stream";
-pub(super) const SITE: &str = "site";
+const STREAM: &str = "stream";
+const SITE: &str = "site";
+const STREAMS: [&str; 2] = [STREAM, SITE];
+
+impl ExportArgs {
+    /// Whether a stream is written, and no file per frame.
+    pub(super) fn is_stream(&self) -> bool {
+        STREAMS.contains(&self.to.as_str())
+    }
+
+    /// Whether the page that plays a stream is written as well.
+    pub(super) fn has_page(&self) -> bool {
+        self.to == SITE
+    }
+
+    /// Refuses options that the chosen format has no use for.
+    pub(super) fn check(&self) -> Result<()> {
+        let (useless, others) = if self.is_stream() {
+            (self.for_files(), file_formats())
+        } else {
+            (self.for_streams(), STREAMS.to_vec())
+        };
+        match useless.iter().find(|(_, given)| *given) {
+            Some((option, _)) => {
+                bail!("{option} has no effect on --to {}; it is for --to {}", self.to, others.join(", "))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The options that only files have, and whether each is given.
+    fn for_files(&self) -> [(&'static str, bool); 3] {
+        [
+            ("--layers", self.layers.is_some()),
+            ("--native", self.native),
+            ("--bake-iterations", self.bake_iterations.is_some()),
+        ]
+    }
+
+    /// The options that only streams have, and whether each is given.
+    fn for_streams(&self) -> [(&'static str, bool); 3] {
+        [
+            ("--precision", self.precision.is_some()),
+            ("--uncertainty", self.uncertainty),
+            ("--frames-per-second", self.frames_per_second.is_some()),
+        ]
+    }
+}
 
 fn names() -> Vec<&'static str> {
-    [STREAM, SITE].into_iter().chain(FORMATS.items.iter().map(|f| f.name())).collect()
+    [&STREAMS[..], &file_formats()].concat()
+}
+
+fn file_formats() -> Vec<&'static str> {
+    FORMATS.items.iter().map(|format| format.name()).collect()
 }
 
 fn factor(text: &str) -> Result<f64, String> {
@@ -94,4 +145,40 @@ pub enum Layer {
     Dynamic,
     /// What lies at infinity, as an equirectangular image.
     Sky,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        export: ExportArgs,
+    }
+
+    fn checked(to: &str, options: &[&str]) -> Result<(), String> {
+        let words = [&["export", "RUN", "--to", to], options].concat();
+        let line = Line::try_parse_from(words).unwrap_or_else(|error| panic!("{error}"));
+        line.export.check().map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn options_without_an_effect_are_refused_with_the_formats_that_have_them() {
+        let of_files: [&[&str]; 3] = [&["--layers", "sky"], &["--native"], &["--bake-iterations", "2000"]];
+        let of_streams: [&[&str]; 3] =
+            [&["--precision", "1"], &["--uncertainty"], &["--frames-per-second", "30"]];
+        for format in names() {
+            let is_stream = ["stream", "site"].contains(&format);
+            let (useful, useless) = if is_stream { (of_streams, of_files) } else { (of_files, of_streams) };
+            assert_eq!(checked(format, &[]), Ok(()), "{format}");
+            assert!(useful.iter().all(|words| checked(format, words).is_ok()), "{format}");
+            for words in useless {
+                let error = checked(format, words).unwrap_err();
+                let others = if is_stream { "spz" } else { "stream, site" };
+                assert!(error.starts_with(words[0]) && error.contains(others), "{error}");
+            }
+        }
+    }
 }

@@ -3,20 +3,30 @@
 use crate::job::request::FrameRange;
 use crate::outputs::finished_run::FinishedRun;
 use anyhow::{Result, ensure};
+use ffgs_core::counted;
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DVec3, Vec3};
 
 /// The finished frames in a range.
 pub(crate) fn chosen(run: &FinishedRun, range: Option<FrameRange>) -> Result<Vec<usize>> {
+    let frames = inside(&run.frames, range);
+    ensure!(!frames.is_empty(), "--frames: none of them is finished; this run has {:?}", run.frames);
+    Ok(frames)
+}
+
+/// Says how many finished frames in a range cannot be exported.
+pub(crate) fn tell_of_thinned(run: &FinishedRun, range: Option<FrameRange>) {
+    let missing = inside(&run.thinned, range).len();
+    if missing > 0 {
+        let frames = counted(missing, "frame");
+        tracing::warn!("left out: {frames} whose Gaussians were not kept (--keep of the run)");
+    }
+}
+
+fn inside(frames: &[usize], range: Option<FrameRange>) -> Vec<usize> {
     let range = range.unwrap_or_default();
     let inside = |f: &usize| *f >= range.start && range.end.is_none_or(|end| *f < end);
-    let frames: Vec<usize> = run.frames.iter().copied().filter(inside).collect();
-    ensure!(!frames.is_empty(), "--frames: none of them is finished; this run has {:?}", run.frames);
-    let missing = run.thinned.iter().filter(|frame| inside(frame)).count();
-    if missing > 0 {
-        tracing::warn!("{missing} frames are left out: their Gaussians were not kept (--keep of the run)");
-    }
-    Ok(frames)
+    frames.iter().copied().filter(inside).collect()
 }
 
 /// How a capture stands in the world.

@@ -1,7 +1,7 @@
 //! A run as one splat file per frame, in any registered format.
 
 use super::args::{ExportArgs, Layer};
-use super::axes::{Axes, chosen};
+use super::axes::{Axes, chosen, tell_of_thinned};
 use crate::cli::terminal::{self, progress};
 use crate::commands::export::bake::Baker;
 use crate::commands::export::measure::{Measurement, Shown, measure, table};
@@ -14,6 +14,11 @@ use ffgs_splats::write_sky_equirectangular;
 use serde::{Deserialize, Serialize};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+
+/// What is written when nothing else is asked for.
+const LAYERS: [Layer; 3] = [Layer::Static, Layer::Dynamic, Layer::Sky];
+/// With which ADR 23 measured what plain viewers lose.
+const BAKE_ITERATIONS: usize = 2000;
 
 /// `export.json`: what the files of a folder are.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
@@ -36,19 +41,20 @@ struct Description {
 pub(super) fn export_files(args: &ExportArgs, format: &'static dyn SplatWriter, out: PathBuf) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
     let frames = chosen(&run, args.frames)?;
+    tell_of_thinned(&run, args.frames);
     let axes = Axes::of(&*run.capture, frames[0])?;
     let description = Description {
         format: format.name().to_owned(),
         capture: run.manifest.capture.clone(),
-        layers: args.layers.clone(),
+        layers: args.layers.clone().unwrap_or_else(|| LAYERS.to_vec()),
         baked: !args.native,
-        bake_iterations: args.bake_iterations,
+        bake_iterations: args.bake_iterations.unwrap_or(BAKE_ITERATIONS),
         first: frames[0],
         up: axes.up.to_array(),
         forward: axes.forward.to_array(),
     };
     claim(&out, &description)?;
-    let export = Export { args, run, format, out, axes };
+    let export = Export { args, description, run, format, out, axes };
     let measured = export.frames(&frames)?;
     if args.measure {
         terminal::print(table(&measured).trim_end());
@@ -69,6 +75,7 @@ fn claim(out: &Path, description: &Description) -> Result<()> {
 
 struct Export<'a> {
     args: &'a ExportArgs,
+    description: Description,
     run: FinishedRun,
     format: &'static dyn SplatWriter,
     out: PathBuf,
@@ -79,7 +86,7 @@ impl Export<'_> {
     fn frames(&self, frames: &[usize]) -> Result<Vec<Measurement>> {
         let bar = progress(self.args.log.quiet, "frames", frames.len());
         let show = |text| bar.set_message(text);
-        let mut baker = Baker::new(&self.run, frames[0], self.args.bake_iterations, &show);
+        let mut baker = Baker::new(&self.run, frames[0], self.description.bake_iterations, &show);
         let mut measured = Vec::new();
         for &frame in frames {
             if self.args.measure || !self.is_written(frame) {
@@ -108,7 +115,7 @@ impl Export<'_> {
     }
 
     fn has(&self, layer: Layer) -> bool {
-        self.args.layers.contains(&layer)
+        self.description.layers.contains(&layer)
     }
 
     fn splat_path(&self, frame: usize) -> PathBuf {

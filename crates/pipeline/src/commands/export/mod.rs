@@ -13,18 +13,18 @@ pub(crate) use args::ExportArgs;
 
 use crate::outputs::folder::RunFolder;
 use anyhow::Result;
-use args::{SITE, STREAM};
 use ffgs_splats::FORMATS;
 
 /// Writes the export.
 ///
 /// # Errors
-/// When the run cannot be read, the folder holds another export, or a file cannot be written.
+/// When an option has no effect on the format, the run cannot be read, the folder holds another export, or a file cannot be written.
 pub(crate) fn export(args: &ExportArgs) -> Result<()> {
+    args.check()?;
     let out =
         args.out.clone().map_or_else(|| RunFolder(args.run.clone()).inside(&["export", &args.to]), Ok)?;
-    if args.to == STREAM || args.to == SITE {
-        return stream::export_stream(args, &out, args.to == SITE);
+    if args.is_stream() {
+        return stream::export_stream(args, &out);
     }
     files::export_files(args, FORMATS.find(&args.to)?, out)
 }

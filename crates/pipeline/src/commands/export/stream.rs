@@ -1,16 +1,17 @@
 //! `ffgs export --to stream` and `--to site`: a run as a 4D stream.
 
 use super::args::ExportArgs;
-use super::axes::{Axes, chosen};
+use super::axes::{Axes, chosen, tell_of_thinned};
 use crate::cli::terminal::{self, progress};
 use crate::commands::export::importance::Importance;
 use crate::commands::export::measure::{Measurement, Shown, measure, table};
 use crate::commands::view::cameras::Views;
 use crate::commands::view::page::write_page;
+use crate::job::lock::FolderLock;
 use crate::job::request::FrameRange;
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::json::write_json;
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use ffgs_core::PixelFilter;
 use ffgs_splats::{Panorama, encode_sky_equirectangular};
 use ffgs_stream::{Entry, Frame, Manifest, Precision, Reader, Steps, Writer};
@@ -52,17 +53,24 @@ impl Default for StreamOptions {
     }
 }
 
+impl StreamOptions {
+    fn of(args: &ExportArgs) -> Self {
+        let usual = Self::default();
+        Self {
+            precision: args.precision.unwrap_or(usual.precision),
+            frames_per_second: args.frames_per_second.unwrap_or(usual.frames_per_second),
+            frames: args.frames,
+            uncertainty: args.uncertainty,
+        }
+    }
+}
+
 /// Writes the stream of the chosen frames, or goes on with one, and shows what it costs.
-pub(crate) fn export_stream(args: &ExportArgs, out: &Path, with_page: bool) -> Result<()> {
-    let options = StreamOptions {
-        precision: args.precision,
-        frames_per_second: args.frames_per_second,
-        frames: args.frames,
-        uncertainty: args.uncertainty,
-    };
+pub(crate) fn export_stream(args: &ExportArgs, out: &Path) -> Result<()> {
     let run = FinishedRun::open(&args.run)?;
-    StreamExport::open(&run, out, &options)?.catch_up(&run, args.log.quiet)?;
-    if with_page {
+    let mut export = StreamExport::open(&run, out, &StreamOptions::of(args))?;
+    export.catch_up(&run, args.log.quiet)?;
+    if args.has_page() {
         write_page(out)?;
         write_json(&out.join("cameras.json"), &Views::of(&*run.capture, Some(&run.folder), false)?)?;
     }
@@ -90,11 +98,15 @@ pub(crate) struct StreamExport {
     uncertainty: bool,
     /// The last frame looked at.
     seen: Option<usize>,
+    /// `ffgs view` and `ffgs run --view` write the same stream.
+    _lock: FolderLock,
 }
 
 impl StreamExport {
-    /// Begins a stream, or goes on with the one that the same export began.
+    /// Begins a stream, or goes on with the one that the same export began. Nobody else writes it meanwhile.
     pub(crate) fn open(run: &FinishedRun, out: &Path, options: &StreamOptions) -> Result<Self> {
+        let lock = FolderLock::take(out).context("cannot write the stream")?;
+        tell_of_thinned(run, options.frames);
         let first = chosen(run, options.frames)?[0];
         let axes = Axes::of(&*run.capture, first)?;
         let writer = open(out, run, first, axes, options)?;
@@ -106,10 +118,11 @@ impl StreamExport {
             frames: options.frames,
             uncertainty: options.uncertainty,
             seen: None,
+            _lock: lock,
         })
     }
 
-    /// Writes the frames that the stream does not have yet.
+    /// Writes the frames that the stream does not have yet. After an error the export must be opened again.
     pub(crate) fn catch_up(&mut self, run: &FinishedRun, quiet: bool) -> Result<()> {
         let mut frames = chosen(run, self.frames)?;
         frames.retain(|&frame| self.seen.is_none_or(|seen| seen < frame));
@@ -184,7 +197,28 @@ fn open(out: &Path, run: &FinishedRun, first: usize, axes: Axes, options: &Strea
     if *writer.manifest() != same {
         bail!("{} holds another stream; choose another --out or remove the folder", out.display());
     }
+    refuse_other_uncertainty(out, options.uncertainty)?;
     Ok(writer)
+}
+
+/// Uncertainties are in all frames of a stream or in none.
+fn refuse_other_uncertainty(out: &Path, uncertainty: bool) -> Result<()> {
+    match has_uncertainty(out)? {
+        Some(true) if !uncertainty => bail!(
+            "{} holds a stream with uncertainties; give --uncertainty, choose another --out or remove the folder",
+            out.display()
+        ),
+        Some(false) if uncertainty => bail!(
+            "{} holds a stream without uncertainties; leave --uncertainty out, choose another --out or remove the folder",
+            out.display()
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// Whether the frames of a stream say how well positions are known, when it has any.
+pub(crate) fn has_uncertainty(stream: &Path) -> Result<Option<bool>> {
+    Ok(Reader::open(stream)?.entries().last().map(Entry::has_uncertainty))
 }
 
 /// Mean difference of texels as they are shown; all of it when the sizes differ.

@@ -5,7 +5,7 @@ use super::plan::Plan;
 use crate::job::lock::FolderLock;
 use crate::job::manifest::Manifest;
 use crate::outputs::exposure_files::{read_usual, write_usual};
-use crate::outputs::folder::RunFolder;
+use crate::outputs::folder::{RunFolder, STATE};
 use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
 use crate::outputs::record::{FrameRecord, Metrics, mean};
@@ -14,11 +14,12 @@ use crate::outputs::state;
 use crate::outputs::turntable::write_turntable;
 use crate::plugins::registry::open_capture;
 use anyhow::{Context, Result, ensure};
-use ffgs_core::Scene;
+use ffgs_core::{Scene, open_input, write_atomically};
 use ffgs_method::Capture;
 use ffgs_reconstruction::Devices;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::{fs, io};
 
 /// A jump of the quality that is told in the report (dB).
 const TOLD: f64 = 0.3;
@@ -89,7 +90,7 @@ pub(super) fn join(plan: &Plan) -> Result<String> {
     write_usual(&read_usual(&plan.part(0))?, &joined)?;
     let (drawn, target) = (plan.part(0).cameras(), joined.cameras());
     if drawn.is_file() {
-        std::fs::copy(&drawn, &target).with_context(|| format!("cannot write {}", target.display()))?;
+        copy(&drawn, &target)?;
     }
     let first = state::load(&plan.first().state(plan.frames.start), plan.frames.start)?.dynamic.next_id;
     let (mut seams, mut records, mut last) = (Vec::new(), Vec::new(), None::<Scene>);
@@ -129,6 +130,9 @@ fn take_frame(
 ) -> Result<Scene> {
     let mut scene = state::load(&from.state(frame), frame)?;
     let folder = to.frame(frame);
+    // An earlier join may have been cut short, or be of parts that were made again since.
+    remove(&to.state(frame))?;
+    remove(&folder)?;
     take_files(&from.frame(frame), &folder)?;
     take_files(&from.frame(frame).join("test"), &folder.join("test"))?;
     if let Some((ids, first)) = ids {
@@ -143,17 +147,34 @@ fn take_frame(
 /// The files of a folder but the state, which marks a frame as finished. They are linked where the disk can: nothing
 /// changes a file of a run, each is replaced as a whole.
 fn take_files(from: &Path, to: &Path) -> Result<()> {
-    std::fs::create_dir_all(to).with_context(|| format!("cannot write {}", to.display()))?;
-    for entry in std::fs::read_dir(from).into_iter().flatten().flatten() {
+    fs::create_dir_all(to).with_context(|| format!("cannot write {}", to.display()))?;
+    for entry in fs::read_dir(from).into_iter().flatten().flatten() {
         let (file, target) = (entry.path(), to.join(entry.file_name()));
-        if !file.is_file() || target.exists() || entry.file_name() == "state.ffgs" {
+        if !file.is_file() || entry.file_name() == STATE {
             continue;
         }
-        std::fs::hard_link(&file, &target)
-            .or_else(|_| std::fs::copy(&file, &target).map(|_| ()))
-            .with_context(|| format!("cannot write {}", target.display()))?;
+        fs::hard_link(&file, &target).or_else(|_| copy(&file, &target))?;
     }
     Ok(())
+}
+
+/// Copies a file, whole or not at all.
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    let mut source = open_input(from).with_context(|| format!("cannot read {}", from.display()))?;
+    write_atomically(to, |out| io::copy(&mut source, out).map(|_| ()))
+        .map_err(|error: io::Error| anyhow::Error::new(error))
+        .with_context(|| format!("cannot write {}", to.display()))
+}
+
+/// Removes a file or folder that may be missing.
+fn remove(path: &Path) -> Result<()> {
+    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("cannot remove {}", path.display()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// What belongs to no single frame.

@@ -50,6 +50,19 @@ pub enum Stage {
     Ssim,
 }
 
+impl Stage {
+    fn has_literal_form(self) -> bool {
+        matches!(self, Self::Associate | Self::Fuse | Self::Ssim)
+    }
+}
+
+impl std::fmt::Display for Stage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let value = self.to_possible_value().expect("no stage is hidden");
+        f.write_str(value.get_name())
+    }
+}
+
 /// Whether a stage does what a run does with the default settings, or our most literal reading of the paper. They differ for
 /// [`Stage::Associate`], [`Stage::Fuse`] and [`Stage::Ssim`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +79,10 @@ pub enum Form {
 /// Names the file and the array that cannot be used, or the device that cannot run the stage.
 pub fn run(stage: Stage, form: Form, input: &Path, output: &Path, device: &Device) -> Result<()> {
     if stage != Stage::Rasterize && matches!(device, Device::Gpu(_)) {
-        bail!("--device: stage {stage:?} runs on the CPU only; rasterize runs on a GPU");
+        bail!("--device: stage {stage} runs on the CPU only; rasterize runs on a GPU");
+    }
+    if form == Form::Literal && !stage.has_literal_form() {
+        bail!("--literal: stage {stage} has one form only; associate, fuse and ssim have two");
     }
     let arrays = Input::open(input)?;
     let results: Result<NpzWriter> = match stage {
@@ -82,6 +98,6 @@ pub fn run(stage: Stage, form: Form, input: &Path, output: &Path, device: &Devic
         Stage::Ssim if form == Form::Literal => ssim::run_literal(&arrays),
         Stage::Ssim => ssim::run(&arrays),
     };
-    results.with_context(|| format!("stage {stage:?} on {}", input.display()))?.write(output)?;
+    results.with_context(|| format!("stage {stage} on {}", input.display()))?.write(output)?;
     Ok(())
 }

@@ -6,7 +6,7 @@ pub(crate) mod points_stream;
 
 use crate::cli::args::LogArgs;
 use crate::cli::terminal;
-use crate::commands::export::stream::{StreamExport, StreamOptions};
+use crate::commands::export::stream::{StreamExport, StreamOptions, has_uncertainty};
 use crate::commands::view::cameras::Views;
 use crate::commands::view::page::{ENGINE, FILES, engine};
 use crate::commands::view::points_stream::write_points;
@@ -26,7 +26,7 @@ use std::time::Duration;
 /// `ffgs view`.
 #[derive(Clone, Debug, Args)]
 #[command(
-    about = "Show a run or a stream in the browser",
+    about = "Show a run, a stream or a capture in the browser",
     long_about = "Shows a run, finished or still going on, or a 4D stream in the browser: time line, orbit, fly, \
         follow, the cameras of the capture with their photographs. A run is written as a stream into RUN/export/stream; of a \
         capture its initial points are shown. \
@@ -58,9 +58,8 @@ pub(crate) fn view(args: &ViewArgs) -> Result<()> {
         let manifest: Manifest = read_json(&run.manifest())?;
         let stream = run.inside(&["export", "stream"])?;
         let capture = open_capture(&manifest.capture_path)?;
-        let viewer = serve(Some((capture, Some(&run))), &stream, args.port)?;
-        follow(folder, &stream);
-        viewer.wait();
+        let _viewer = serve(Some((capture, Some(&run))), &stream, args.port)?;
+        follow(folder, &stream)
     } else if folder.join("manifest.json").exists() {
         serve(None, folder, args.port)?.wait();
     } else {
@@ -109,16 +108,16 @@ fn serve(
     Ok(viewer)
 }
 
-/// Appends the frames of a run to its stream as they are finished, until the process ends.
-fn follow(folder: &Path, stream: &Path) {
-    let options = StreamOptions { uncertainty: true, ..StreamOptions::default() };
+/// Appends the frames of a run to its stream as they are finished, until the process ends. While another process does the
+/// same, the page shows what that one writes.
+fn follow(folder: &Path, stream: &Path) -> ! {
     let (mut export, mut said) = (None, String::new());
     loop {
         // A run without a finished frame is looked at again.
-        if let Err(error) = catch_up(&mut export, folder, stream, &options) {
+        if let Err(error) = catch_up(&mut export, folder, stream) {
             let text = format!("{error:#}");
             if text != said && FinishedRun::open(folder).is_ok() {
-                tracing::warn!("the page gets no further frames: {text}");
+                tracing::warn!("the page gets no further frames from this process: {text}");
             }
             said = text;
         }
@@ -126,19 +125,23 @@ fn follow(folder: &Path, stream: &Path) {
     }
 }
 
-fn catch_up(
-    export: &mut Option<StreamExport>,
-    folder: &Path,
-    stream: &Path,
-    options: &StreamOptions,
-) -> Result<()> {
+/// Leaves no export behind an error: the next look opens it again.
+fn catch_up(export: &mut Option<StreamExport>, folder: &Path, stream: &Path) -> Result<()> {
     let run = FinishedRun::open(folder)?;
-    if export.is_none() {
-        RunFolder(folder.to_owned()).inside(&["export", "stream"])?;
-        std::fs::create_dir_all(stream)?;
-        *export = Some(StreamExport::open(&run, stream, options)?);
-    }
-    export.as_mut().map_or(Ok(()), |export| export.catch_up(&run, true))
+    let mut going_on = match export.take() {
+        Some(export) => export,
+        None => open(&run, stream)?,
+    };
+    going_on.catch_up(&run, true)?;
+    *export = Some(going_on);
+    Ok(())
+}
+
+/// Begins a stream with uncertainties, or goes on with one as it is.
+fn open(run: &FinishedRun, stream: &Path) -> Result<StreamExport> {
+    run.folder.inside(&["export", "stream"])?;
+    let uncertainty = has_uncertainty(stream).ok().flatten().unwrap_or(true);
+    StreamExport::open(run, stream, &StreamOptions { uncertainty, ..StreamOptions::default() })
 }
 
 /// The file of `SPLIT/VIEW/FRAME.png`.
