@@ -3,7 +3,7 @@
 use crate::PrepareError;
 use crate::extraction::file_name;
 use crate::rig::{Rig, RigCamera};
-use crate::timing::Schedule;
+use crate::schedule::Schedule;
 use ffgs_core::{Intrinsics, write_atomically};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -62,7 +62,7 @@ fn pose(camera: &RigCamera, picture: usize) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::timing::Sequence;
+    use crate::schedule::Sequence;
     use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Undistortion, detect};
     use ffgs_core::ImageSize;
     use ffgs_dataset::{Capture, Split};
@@ -79,7 +79,7 @@ mod tests {
             pictures: Pictures::Files(Vec::new()),
             masks: None,
             test: false,
-            sequence: Sequence { name: name.to_owned(), pictures: 2, rate: None },
+            sequence: Sequence { name: name.to_owned(), pictures: 2, rate: None, moments: None },
         }
     }
 

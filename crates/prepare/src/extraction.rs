@@ -1,7 +1,7 @@
 //! Pictures and masks of the footage, undistorted and reduced, to `ims/` and `seg/`.
 
 use crate::rig::{Rig, RigCamera};
-use crate::timing::Schedule;
+use crate::schedule::Schedule;
 use crate::{PrepareError, Progress, pictures, video};
 use ffgs_calibration::Pictures;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};

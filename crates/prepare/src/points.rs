@@ -3,13 +3,13 @@
 use crate::depth_maps::DepthMaps;
 use crate::free_space::FreeSpace;
 use crate::ground::{Ground, Prominence};
-use crate::rows::{Row, row};
+use crate::rows::{COLOUR, Row, row};
 use crate::silhouettes::Silhouettes;
 use crate::stereo::{self, StereoPoint};
 use crate::views::{View, load};
 use crate::windows::Pictures;
 use crate::{PrepareError, Progress};
-use crate::{foreground, free_space, spread};
+use crate::{foreground, free_space, inverted, spread};
 use ffgs_arrays::NpzWriter;
 use ffgs_dataset::Capture;
 use glam::DVec3;
@@ -54,10 +54,12 @@ pub(crate) fn make(
     known: &[StereoPoint],
     progress: &dyn Progress,
 ) -> Result<String, PrepareError> {
-    let views = load(capture)?;
+    let (views, gain) = load(capture)?;
+    let in_views = |p: &StereoPoint| StereoPoint { colour: p.colour.map(|c| (c * gain).min(1.0)), ..*p };
+    let known = &known.iter().map(in_views).collect::<Vec<_>>();
     let parts = Parts { progress, done: Cell::new(0), total: PARTS + MAPS * views.len() };
     parts.finish(0);
-    let matched = matched(&views, known, &parts);
+    let matched = matched(&views, known, &parts)?;
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points, &matched.space);
     parts.finish(1);
@@ -75,6 +77,10 @@ pub(crate) fn make(
     }
     rows.extend([moving.hull, moving.spread].concat());
     rows.extend(still.points.iter().map(|p| row(p.position, p.colour, false)));
+    rows.iter_mut().flat_map(|row| &mut row[COLOUR]).for_each(|channel| *channel /= gain);
+    if gain > 1.0 {
+        text = format!("{text}; the pictures are dark, so these were made of {gain:.1} times as bright ones");
+    }
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
     parts.finish(1);
     Ok(text)
@@ -82,8 +88,11 @@ pub(crate) fn make(
 
 /// Points of the calibration, or matched features, those of depth maps and those of the ground. Those of the calibration are kept as they are. Left out are
 /// features that depth maps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
-fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Matched<'a> {
+fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Result<Matched<'a>, PrepareError> {
     let features = if known.is_empty() { stereo::points(views) } else { Vec::new() };
+    if known.is_empty() {
+        inverted::refuse(views, features.len())?;
+    }
     parts.finish(1);
     let pictures = Pictures::new(views);
     let near = if known.is_empty() { &features } else { known };
@@ -109,7 +118,7 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Match
     let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
     parts.finish(1);
     let account = account(known.len(), of_features, of_maps, of_ground, points.len());
-    Matched { points, space, ground, account }
+    Ok(Matched { points, space, ground, account })
 }
 
 /// In words: how many points there are of the calibration, of features, of depth maps and of the ground, where one was found, and how many of these are `left`.
@@ -137,7 +146,7 @@ fn account(
 
 /// Writes points that need no others.
 pub(crate) fn keep(capture: &Capture, points: &[StereoPoint]) -> Result<String, PrepareError> {
-    let views = load(capture)?;
+    let (views, _) = load(capture)?;
     let rows = rows_of(&views, points);
     NpzWriter::new().f32("data", &[rows.len(), 7], rows.as_flattened()).write(&capture.points_path())?;
     Ok(format!("{} of the footage", rows.len()))

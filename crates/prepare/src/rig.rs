@@ -1,8 +1,8 @@
 //! The footage's cameras as the capture has them: size, pinhole, units, which are held out.
 
 use crate::names::plain_name;
-use crate::timing::Sequence;
-use crate::{PrepareError, Request, TestCameras, pictures, video};
+use crate::schedule::Sequence;
+use crate::{PrepareError, Request, TestCameras, moments, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
 use ffgs_core::{Camera, ImageSize, counted};
 use glam::{DMat4, DVec3};
@@ -92,16 +92,16 @@ impl Rig {
             pose.w_axis = (pose.w_axis.truncate() * self.metres_per_unit).extend(1.0);
             pose
         };
-        let (pictures, rate) = match &source.pictures {
+        let (pictures, rate, moments) = match &source.pictures {
             Pictures::Video(file) => {
                 let facts = video::probe(file)?;
-                (facts.frames, Some(facts.rate))
+                (facts.frames, Some(facts.rate), facts.times)
             }
-            Pictures::Files(files) => (files.len(), None),
+            Pictures::Files(files) => (files.len(), None, moments::numbers(files)),
         };
         let name = plain_name(&source.name);
         Ok(RigCamera {
-            sequence: Sequence { name: name.clone(), pictures, rate },
+            sequence: Sequence { name: name.clone(), pictures, rate, moments },
             name,
             undistortion,
             poses: source.poses.iter().map(to_metres).collect(),

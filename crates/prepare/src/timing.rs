@@ -1,6 +1,8 @@
 //! Which picture of each camera belongs to which frame.
 
+use crate::moments::{by_moments, offset};
 use crate::names::plain_name;
+use crate::schedule::{Schedule, Sequence};
 use crate::{PrepareError, Request};
 use ffgs_core::read_text;
 use std::collections::BTreeMap;
@@ -8,25 +10,6 @@ use std::path::Path;
 
 /// A hundred cameras for an hour at 100 pictures per second take a gigabyte.
 const MAX_TIMESTAMPS_BYTES: u64 = 1 << 30;
-
-/// What is known of one camera's pictures in time.
-#[derive(Clone, Debug)]
-pub(crate) struct Sequence {
-    pub name: String,
-    pub pictures: usize,
-    /// Pictures a second; `None` for files.
-    pub rate: Option<f64>,
-}
-
-/// Picture indices `[frame][camera]`, and what was found out on the way.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Schedule {
-    pub frames: Vec<Vec<usize>>,
-    pub assumed: Vec<String>,
-    pub skipped: Vec<String>,
-    /// Largest difference of the cameras' times within a frame (s), where there are timestamps.
-    pub spread: Option<f64>,
-}
 
 /// Rates that differ by less are the same: containers round them.
 const SAME_RATE: f64 = 0.002;
@@ -41,7 +24,7 @@ pub(crate) fn schedule(
     let table = timestamps.map(|file| read_timestamps(file, sequences)).transpose()?.flatten();
     let mut schedule = match table {
         Some(table) => by_timestamps(&table, sequences, request),
-        None => by_rate(sequences, request),
+        None => by_moments(sequences, request).unwrap_or_else(|| by_rate(sequences, request)),
     };
     let all = schedule.frames.len();
     let taken = schedule.frames.into_iter().skip(request.start).step_by(request.every.get());
@@ -104,9 +87,7 @@ fn check_offsets(sequences: &[Sequence], request: &Request) -> Result<(), Prepar
 
 /// The picture of a camera that shows the moment of picture `i` (which may be negative), if the camera has one.
 fn shifted(sequence: &Sequence, i: i64, request: &Request) -> Option<usize> {
-    let offset = request.offsets.iter().find(|(name, _)| plain_name(name) == sequence.name);
-    let offset = offset.map_or(0, |(_, frames)| *frames);
-    usize::try_from(i.checked_add(offset)?).ok().filter(|i| *i < sequence.pictures)
+    usize::try_from(i.checked_add(offset(sequence, request))?).ok().filter(|i| *i < sequence.pictures)
 }
 
 /// An offset moves a camera against its own timestamps: clocks of cameras can be wrong.
@@ -152,7 +133,7 @@ fn describe(sequences: &[Sequence], ratio: impl Fn(&Sequence) -> f64, schedule: 
     }
     if least != most {
         let text = format!(
-            "the cameras have {least} to {most} pictures; the {} in common are used",
+            "the cameras have {least} to {most} pictures, of which {} are of all cameras when they are taken in their order",
             schedule.frames.len()
         );
         schedule.skipped.push(text);
@@ -171,7 +152,7 @@ mod tests {
     use super::*;
 
     fn sequence(name: &str, pictures: usize, rate: f64) -> Sequence {
-        Sequence { name: name.into(), pictures, rate: Some(rate) }
+        Sequence { name: name.into(), pictures, rate: Some(rate), moments: None }
     }
 
     fn request() -> Request {

@@ -1,7 +1,6 @@
 //! Tracks from frame to frame in every training view, by the trackers of this project.
 
-use crate::tracker_list;
-use crate::{PrepareError, Progress};
+use crate::{PrepareError, Progress, dark, tracker_list};
 use ffgs_arrays::NpzWriter;
 use ffgs_core::TrackSet;
 use ffgs_dataset::{Capture, Split};
@@ -56,6 +55,8 @@ pub(crate) fn make(capture: &Capture, progress: &dyn Progress) -> Result<String,
 fn track_view(capture: &Capture, view: usize, tick: &(dyn Fn() + Sync)) -> Result<usize, PrepareError> {
     let config = TrackerConfig::default();
     let name = &capture.views(Split::Train)[view].name;
+    let gain = dark::gain([&capture.load_image(Split::Train, view, 0)?]);
+    let load = |frame: usize| load(capture, view, frame, gain, &config);
     let mut before: Option<(usize, Frame)> = None;
     let mut found = 0;
     for frame in 1..capture.frames() {
@@ -63,9 +64,9 @@ fn track_view(capture: &Capture, view: usize, tick: &(dyn Fn() + Sync)) -> Resul
         if !files.iter().all(|file| file.exists()) {
             let last = match before.take() {
                 Some((at, last)) if at == frame - 1 => last,
-                _ => load(capture, view, frame - 1, &config)?,
+                _ => load(frame - 1)?,
             };
-            let next = load(capture, view, frame, &config)?;
+            let next = load(frame)?;
             let mut tracks = TrackSet::default();
             for (tracker, file) in TRACKERS.iter().zip(&files) {
                 tracks = (tracker.track)(&last, &next, &tracks, &config);
@@ -79,8 +80,15 @@ fn track_view(capture: &Capture, view: usize, tick: &(dyn Fn() + Sync)) -> Resul
     Ok(found)
 }
 
-fn load(capture: &Capture, view: usize, frame: usize, config: &TrackerConfig) -> Result<Frame, PrepareError> {
-    let image = capture.load_image(Split::Train, view, frame)?;
+/// A picture, multiplied by a gain.
+fn load(
+    capture: &Capture,
+    view: usize,
+    frame: usize,
+    gain: f32,
+    config: &TrackerConfig,
+) -> Result<Frame, PrepareError> {
+    let image = dark::brightened(capture.load_image(Split::Train, view, frame)?, gain);
     let mask = capture.load_mask(Split::Train, view, frame)?;
     // The outline moves too, and its windows reach over it.
     let mask = mask.map(|m| m.dilated(2));

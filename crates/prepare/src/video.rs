@@ -8,23 +8,33 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 /// What ffprobe says of a video.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct VideoFacts {
     /// Frames, by the packets of its container.
     pub frames: usize,
     /// Frames a second.
     pub rate: f64,
+    /// When each frame is shown (s after the first), where the container says it.
+    pub times: Option<Vec<f64>>,
 }
 
 #[derive(Deserialize)]
 struct Probe {
     streams: Vec<Stream>,
+    #[serde(default)]
+    packets: Vec<Packet>,
 }
 
 #[derive(Deserialize)]
 struct Stream {
-    nb_read_packets: String,
     avg_frame_rate: String,
+}
+
+#[derive(Deserialize)]
+struct Packet {
+    pts_time: Option<String>,
+    #[serde(default)]
+    flags: String,
 }
 
 /// A video that is a playlist in truth cannot make ffmpeg fetch anything.
@@ -33,21 +43,33 @@ const FILES_ONLY: [&str; 2] = ["-protocol_whitelist", "file"];
 /// Number and rate of the frames of a video.
 pub(crate) fn probe(file: &Path) -> Result<VideoFacts, PrepareError> {
     let mut command = Command::new("ffprobe");
-    command.args(["-v", "error", "-select_streams", "v:0", "-count_packets", "-of", "json"]);
-    command.args(["-show_entries", "stream=nb_read_packets,avg_frame_rate"]).args(FILES_ONLY).arg(file);
+    command.args(["-v", "error", "-select_streams", "v:0", "-of", "json=compact=1"]);
+    command.args(["-show_entries", "stream=avg_frame_rate:packet=pts_time,flags"]).args(FILES_ONLY).arg(file);
     let output = command.stdin(Stdio::null()).output().map_err(|e| start_error(file, "ffprobe", e))?;
     let probe: Option<Probe> = serde_json::from_slice(&output.stdout).ok();
-    let facts = probe.and_then(|p| facts(p.streams.first()?));
+    let facts = probe.and_then(|p| facts(&p));
     facts.ok_or_else(|| {
         PrepareError::picture(file, format!("no video that ffmpeg can read. {}", said(&output.stderr)))
     })
 }
 
-fn facts(stream: &Stream) -> Option<VideoFacts> {
-    let (up, down) = stream.avg_frame_rate.split_once('/')?;
+fn facts(probe: &Probe) -> Option<VideoFacts> {
+    let (up, down) = probe.streams.first()?.avg_frame_rate.split_once('/')?;
     let rate = up.parse::<f64>().ok()? / down.parse::<f64>().ok()?;
-    let frames = stream.nb_read_packets.parse().ok()?;
-    (frames > 0 && rate > 0.0 && rate.is_finite()).then_some(VideoFacts { frames, rate })
+    // Packets that an edit list discards are decoded and not shown.
+    let shown = || probe.packets.iter().filter(|packet| !packet.flags.contains('D'));
+    let frames = shown().count();
+    let times = shown().map(|packet| packet.pts_time.as_ref()?.parse::<f64>().ok()).collect::<Option<_>>();
+    let facts = VideoFacts { frames, rate, times: times.and_then(in_order) };
+    (frames > 0 && rate > 0.0 && rate.is_finite()).then_some(facts)
+}
+
+/// Times as frames are shown, which packets are not in the order of; `None` where two are the same.
+fn in_order(mut times: Vec<f64>) -> Option<Vec<f64>> {
+    times.sort_unstable_by(f64::total_cmp);
+    let first = *times.first()?;
+    times.iter_mut().for_each(|time| *time -= first);
+    times.windows(2).all(|pair| pair[0] < pair[1]).then_some(times)
 }
 
 fn start_error(file: &Path, program: &'static str, error: std::io::Error) -> PrepareError {

@@ -1,6 +1,6 @@
 //! The training views of the first frame, from which points are made.
 
-use crate::PrepareError;
+use crate::{PrepareError, dark};
 use ffgs_core::{Camera, ImageRgb8, Mask};
 use ffgs_dataset::{Capture, Split};
 use glam::{DVec2, DVec3};
@@ -36,11 +36,11 @@ pub(crate) fn at_depth(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
     camera.center() + ray * (depth / ray.dot(camera.rotation().row(2)))
 }
 
-/// Reads them.
+/// Reads them; dark pictures are multiplied by the gain that is returned, 1 where they are not dark.
 ///
 /// # Errors
 /// When one of them cannot be read.
-pub(crate) fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {
+pub(crate) fn load(capture: &Capture) -> Result<(Vec<View>, f32), PrepareError> {
     let view = |v: usize| -> Result<View, PrepareError> {
         Ok(View {
             camera: capture.camera(Split::Train, v, 0)?,
@@ -48,5 +48,9 @@ pub(crate) fn load(capture: &Capture) -> Result<Vec<View>, PrepareError> {
             mask: capture.load_mask(Split::Train, v, 0)?,
         })
     };
-    (0..capture.views(Split::Train).len()).into_par_iter().map(view).collect()
+    let all = (0..capture.views(Split::Train).len()).into_par_iter().map(view);
+    let views: Vec<View> = all.collect::<Result<_, _>>()?;
+    let gain = dark::gain(views.iter().map(|view| &view.image));
+    let bright = |view: View| View { image: dark::brightened(view.image, gain), ..view };
+    Ok((views.into_iter().map(bright).collect(), gain))
 }

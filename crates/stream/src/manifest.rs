@@ -110,8 +110,8 @@ impl Entry {
 pub(crate) fn read_entries(folder: &Path) -> Result<Vec<Entry>, StreamError> {
     let path = folder.join(FRAMES);
     let text = read_list(&path)?;
-    let entries: Vec<Entry> =
-        finished(&text).lines().map(serde_json::from_str).collect::<Result<_, _>>().in_file(&path)?;
+    let lines = finished(&text).lines().filter(|line| !line.is_empty());
+    let entries: Vec<Entry> = lines.map(serde_json::from_str).collect::<Result<_, _>>().in_file(&path)?;
     let ascending = entries.windows(2).all(|pair| pair[0].frame < pair[1].frame);
     let inside = entries.iter().all(|e| is_plain_name(&e.file));
     if ascending && inside {

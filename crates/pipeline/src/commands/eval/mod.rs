@@ -159,7 +159,7 @@ mod tests {
         let whole = ViewMetrics { vmaf: Some(80.0), flicker: Some(1.5), ..view(30.0, Some(10.0)) };
         let later = ViewMetrics { mssim: Some(0.25), mvmaf: Some(60.0), mflicker: Some(4.5), ..whole };
         let of = |frame, views| FrameRecord { frame, views, ..FrameRecord::default() };
-        let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![later])]);
+        let text = table(&[of(0, vec![view(20.0, None)]), of(1, vec![later.clone()])]);
         let begun_later = table(&[of(5, vec![view(20.0, None)]), of(6, vec![later])]);
         assert_eq!(
             begun_later.lines().last(),
