@@ -21,7 +21,7 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// OpenCV's `distCoeffs`: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tx ty, in the lengths that OpenCV has ([`COUNTS`]). In
+    /// OpenCV's `distCoeffs`: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tx ty, in the lengths that OpenCV has (0, 4, 5, 8, 12, 14). In
     /// another length it is not known which number is which.
     ///
     /// # Errors

@@ -79,6 +79,7 @@ mod tests {
             pictures: Pictures::Files(Vec::new()),
             masks: None,
             test: false,
+            transparent: false,
             sequence: Sequence { name: name.to_owned(), pictures: 2, rate: None, moments: None },
         }
     }

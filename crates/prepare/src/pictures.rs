@@ -13,6 +13,14 @@ pub(crate) fn read_rgb(file: &Path) -> Result<ImageRgb8, PrepareError> {
     Ok(ImageRgb8::new(size, image.into_raw()).expect("an RGB image has three bytes per pixel"))
 }
 
+/// The size of a photograph, and whether it is transparent anywhere.
+pub(crate) fn look_at(file: &Path) -> Result<(ImageSize, bool), PrepareError> {
+    let image = decode(file)?;
+    let size = ImageSize { width: image.width() as usize, height: image.height() as usize };
+    let transparent = image.color().has_alpha() && image.into_rgba8().pixels().any(|p| p.0[3] < u8::MAX);
+    Ok((size, transparent))
+}
+
 /// Reads a mask of any size: foreground where the grey value (or, with an alpha channel, the alpha) is not zero.
 pub(crate) fn read_mask(file: &Path) -> Result<Mask, PrepareError> {
     let image = decode(file)?;

@@ -6,6 +6,7 @@ use crate::{PrepareError, Request, TestCameras, moments, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
 use ffgs_core::{Camera, ImageSize, counted};
 use glam::{DMat4, DVec3};
+use std::collections::BTreeMap;
 
 /// A camera as the capture will have it.
 #[derive(Clone, Debug)]
@@ -18,6 +19,8 @@ pub(crate) struct RigCamera {
     pub masks: Option<Pictures>,
     pub test: bool,
     pub sequence: Sequence,
+    /// Whether its first picture is transparent anywhere.
+    pub transparent: bool,
 }
 
 /// All cameras and what was decided for them.
@@ -60,6 +63,8 @@ pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareEr
         }
         rig.cameras.push(camera);
     }
+    rig.assumed.extend(scaled(footage, &rig.cameras));
+    rig.assumed.extend(transparent(&rig.cameras));
     if request.metres_per_unit.or(footage.metres_per_unit).is_none() {
         rig.assumed.push("lengths of the calibration are metres (--unit names another unit)".to_owned());
     }
@@ -75,13 +80,13 @@ pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareEr
 
 impl Rig {
     fn camera(
-        &mut self,
+        &self,
         source: &SourceCamera,
         test: bool,
         request: &Request,
     ) -> Result<RigCamera, PrepareError> {
-        let found = first_size(&source.pictures)?;
-        let lens = self.lens_for(source, found)?;
+        let (found, transparent) = first_look(&source.pictures)?;
+        let lens = lens_for(source, found)?;
         let reduced = |length: usize| ((length as f64 * request.scale).round() as usize).max(1);
         let size = ImageSize { width: reduced(found.width), height: reduced(found.height) };
         let undistortion = Undistortion::new(lens, size)
@@ -108,37 +113,70 @@ impl Rig {
             pictures: source.pictures.clone(),
             masks: source.masks.clone(),
             test,
+            transparent,
         })
     }
+}
 
-    /// The lens for pictures of the size that was found.
-    fn lens_for(&mut self, source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareError> {
-        let lens = source.lens;
-        if lens.size.pixels() == 0 {
-            let pinhole = Camera::new(lens.intrinsics, DMat4::IDENTITY, found);
-            let fault =
-                pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
-            let told = |fault| PrepareError::Footage(format!("camera '{}': {fault}", source.name));
-            return fault.map_or(Ok(Lens { size: found, ..lens }), |fault| Err(told(fault)));
+/// The lens for pictures of the size that was found.
+fn lens_for(source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareError> {
+    let lens = source.lens;
+    if lens.size.pixels() == 0 {
+        let pinhole = Camera::new(lens.intrinsics, DMat4::IDENTITY, found);
+        let fault = pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
+        let told = |fault| PrepareError::Footage(format!("camera '{}': {fault}", source.name));
+        return fault.map_or(Ok(Lens { size: found, ..lens }), |fault| Err(told(fault)));
+    }
+    let (x, y) = (found.width as f64 / lens.size.width as f64, found.height as f64 / lens.size.height as f64);
+    // A video encoder may pad or crop by a pixel or two.
+    if (x / y - 1.0).abs() > 0.02 {
+        let is_turned = found.width == lens.size.height && found.height == lens.size.width;
+        let turned =
+            if is_turned { "; a video may say that it is to be turned, which ffmpeg does" } else { "" };
+        let reason = format!(
+            "camera '{}' was calibrated at {} x {}, but its pictures are {} x {}{turned}",
+            source.name, lens.size.width, lens.size.height, found.width, found.height
+        );
+        return Err(PrepareError::Footage(reason));
+    }
+    Ok(lens.resized(found))
+}
+
+/// Of which cameras the intrinsics were scaled: a sentence for all of the same sizes.
+fn scaled(footage: &Footage, cameras: &[RigCamera]) -> Vec<String> {
+    let mut groups: BTreeMap<(usize, usize), Vec<&str>> = BTreeMap::new();
+    for (source, camera) in footage.cameras.iter().zip(cameras) {
+        let (calibrated, found) = (source.lens.size, camera.undistortion.source_size());
+        if calibrated.pixels() > 0 && calibrated != found {
+            groups.entry((calibrated.width, found.width)).or_default().push(&camera.name);
         }
-        let (x, y) =
-            (found.width as f64 / lens.size.width as f64, found.height as f64 / lens.size.height as f64);
-        // A video encoder may pad or crop by a pixel or two.
-        if (x / y - 1.0).abs() > 0.02 {
-            let reason = format!(
-                "camera '{}' was calibrated at {} x {}, but its pictures are {} x {}",
-                source.name, lens.size.width, lens.size.height, found.width, found.height
-            );
-            return Err(PrepareError::Footage(reason));
-        }
-        if found != lens.size {
-            let text = format!(
-                "camera {} was calibrated at {} columns, its pictures have {}",
-                source.name, lens.size.width, found.width
-            );
-            self.assumed.push(format!("{text}: its intrinsics were scaled"));
-        }
-        Ok(lens.resized(found))
+    }
+    let told = |((calibrated, found), names): ((usize, usize), Vec<&str>)| {
+        format!(
+            "the calibration is for {calibrated} columns, the pictures of {} have {found}: intrinsics were scaled",
+            some_of(&names)
+        )
+    };
+    groups.into_iter().map(told).collect()
+}
+
+fn transparent(cameras: &[RigCamera]) -> Option<String> {
+    let names: Vec<&str> = cameras.iter().filter(|c| c.transparent).map(|c| c.name.as_str()).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "pictures of {} are transparent in parts, which count as what their colours show: cut them off, or fill them",
+            some_of(&names)
+        )
+    })
+}
+
+/// Cameras in words, the first of many.
+fn some_of(names: &[&str]) -> String {
+    const SHOWN: usize = 4;
+    let shown = names[..names.len().min(SHOWN)].join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 => format!("camera {shown}"),
+        more => format!("camera {shown} and {}", counted(more, "other")),
     }
 }
 
@@ -147,18 +185,19 @@ pub(crate) fn distorted(footage: &Footage) -> usize {
     footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
 }
 
-fn first_size(of: &Pictures) -> Result<ImageSize, PrepareError> {
+/// The size of the first picture, and whether it is transparent anywhere.
+fn first_look(of: &Pictures) -> Result<(ImageSize, bool), PrepareError> {
     match of {
         Pictures::Video(file) => {
             let first = video::Frames::open(file)?.next()?;
             first
-                .map(|i| i.size())
+                .map(|i| (i.size(), false))
                 .ok_or_else(|| PrepareError::picture(file, "ffmpeg decodes no frame of it"))
         }
         Pictures::Files(files) => {
             let first =
                 files.first().ok_or_else(|| PrepareError::Footage("a camera has no picture".to_owned()))?;
-            Ok(pictures::read_rgb(first)?.size())
+            pictures::look_at(first)
         }
     }
 }

@@ -1,6 +1,7 @@
 //! A ball that rolls through a ring of cameras, from footage to a capture.
 
 mod again;
+mod told;
 mod videos;
 
 use ffgs_arrays::NpzFile;
@@ -318,7 +319,7 @@ fn bad_footage_is_told_with_its_file_and_leaves_no_list() {
     fs::remove_file(folder.path().join("cam_4/3.png")).unwrap();
     assert!(error(&Request { count: Some(3), ..request.clone() }).contains("now count = 3"));
     let summary = run(&request).to_string();
-    assert!(summary.contains("2 to 3 pictures"), "{summary}");
+    assert!(summary.contains("1 of 3 moments lack a picture of a camera: cam_4 lacks 1"), "{summary}");
     assert_eq!(Capture::open(&request.out).unwrap().frames(), 2);
 }
 

@@ -51,6 +51,39 @@ fn videos_are_read_frame_by_frame() {
     assert!(broken.contains("cam_5.mkv"), "{broken}");
 }
 
+/// Cameras that lack some frames, with the times of the others kept: each picture of a frame shows the same moment.
+#[test]
+fn frames_that_a_video_dropped_shift_nothing() {
+    let folder = footage(0, FRAMES);
+    for i in 0..CAMERAS {
+        let pictures = folder.path().join(format!("cam_{i}"));
+        let video = folder.path().join(format!("cam_{i}.mkv"));
+        encode(&pictures, &video);
+        if i == 1 {
+            let whole = folder.path().join("whole.mkv");
+            fs::rename(&video, &whole).unwrap();
+            let mut ffmpeg = Command::new("ffmpeg");
+            ffmpeg.args(["-v", "error", "-i"]).arg(&whole);
+            ffmpeg.args(["-vf", "select='not(between(n,2,3))'", "-vsync", "passthrough", "-c:v", "ffv1"]);
+            assert!(ffmpeg.args(["-pix_fmt", "bgr0"]).arg(&video).status().unwrap().success());
+            fs::remove_file(whole).unwrap();
+        }
+        fs::remove_dir_all(pictures).unwrap();
+    }
+    let request = Request { only: vec![Step::Pictures], ..request(&folder) };
+    let summary = run(&request).to_string();
+    assert!(summary.contains("2 of 8 moments lack a picture of a camera: cam_1 lacks 2"), "{summary}");
+    let capture = Capture::open(&request.out).unwrap();
+    assert_eq!(capture.frames(), FRAMES - 2);
+    for (frame, shown) in [0, 1, 4, 5, 6, 7].into_iter().enumerate() {
+        for view in [0, 1] {
+            let found = capture.load_image(Split::Train, view, frame).unwrap();
+            let wanted = picture(view, shown);
+            assert!(found.data() == wanted.as_raw().as_slice(), "camera {view}, frame {frame}");
+        }
+    }
+}
+
 /// A clean plate whose pictures cannot be decoded is no reason to take its camera for one that moves.
 #[test]
 fn a_clean_plate_without_pictures_is_told() {
