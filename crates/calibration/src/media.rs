@@ -2,7 +2,7 @@
 
 use crate::{CalibrationError, Pictures};
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -88,14 +88,25 @@ impl Media {
         const SHOWN: usize = 5;
         let found = self.candidates(names);
         let name = &names[0];
+        let in_words = |paths: &[&Path]| {
+            let shown: Vec<String> =
+                paths.iter().take(SHOWN).map(|path| path.display().to_string()).collect();
+            shown.join(", ") + if paths.len() > SHOWN { " and others" } else { "" }
+        };
         if found.is_empty() {
-            return format!("camera '{name}' has no video or folder called {}", names.join(", "));
+            let all: Vec<&Path> =
+                self.videos.iter().chain(self.folders.keys()).map(PathBuf::as_path).collect();
+            let there = if all.is_empty() { "no video and no picture".to_owned() } else { in_words(&all) };
+            let called: BTreeSet<&str> = names.iter().map(String::as_str).collect();
+            let called = called.into_iter().collect::<Vec<_>>().join(", ");
+            return format!(
+                "camera '{name}' has no video or folder called {called}; there is {there}, at most {} folders below",
+                DEPTH - 1
+            );
         }
-        let shown: Vec<String> = found.iter().take(SHOWN).map(|path| path.display().to_string()).collect();
-        let more = if found.len() > SHOWN { " and others" } else { "" };
         format!(
-            "camera '{name}' may have any of {}{more}: rename the one with its footage to '{name}{}', or leave that one alone there",
-            shown.join(", "),
+            "camera '{name}' may have any of {}: rename the one with its footage to '{name}{}', or leave that one alone there",
+            in_words(&found),
             found[0].extension().map_or_else(String::new, |ending| format!(".{}", ending.display()))
         )
     }

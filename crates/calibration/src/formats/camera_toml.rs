@@ -1,7 +1,10 @@
 //! TOML of caliscope (`camera_array.toml`, `config.toml`), aniposelib (`calibration.toml`) and Pose2Sim (`Calib_*.toml`): a table per camera
 //! with `matrix`, `distortions`, `size`, `rotation` (3x3 or a Rodrigues vector) and `translation`, world to camera.
 
-use super::{Format, checked, find_below, intrinsics, read_text, rigid, rodrigues, square, timestamps_near};
+use super::{
+    Format, checked, find_below, intrinsics, read_text, rigid, rodrigues, square, timestamps_near,
+    told_of_others,
+};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
 use ffgs_core::ImageSize;
 use glam::{DMat3, DVec3};
@@ -26,9 +29,11 @@ fn find(folder: &Path) -> Option<PathBuf> {
 }
 
 fn find_toml(folder: &Path, fits: impl Fn(&Table) -> bool) -> Option<PathBuf> {
-    find_below(folder, &|path| {
-        path.extension().is_some_and(|e| e == "toml") && fits(&parsed(path).unwrap_or_default())
-    })
+    find_below(folder, &|path| is_toml(path, &fits))
+}
+
+fn is_toml(path: &Path, fits: &impl Fn(&Table) -> bool) -> bool {
+    path.extension().is_some_and(|e| e == "toml") && fits(&parsed(path).unwrap_or_default())
 }
 
 fn parsed(file: &Path) -> Result<Table, CalibrationError> {
@@ -92,6 +97,8 @@ fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let table = parsed(file)?;
     let media = Media::find(folder)?;
     let mut footage = Footage { skipped: incomplete(&table), ..Footage::default() };
+    let is_other = |path: &Path| is_toml(path, &|table| !cameras(table).is_empty());
+    footage.assumed.extend(told_of_others(folder, file, &is_other));
     let mut straight = Vec::new();
     for (section, camera) in cameras(&table) {
         let names = names(section, camera);

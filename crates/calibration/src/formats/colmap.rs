@@ -3,7 +3,7 @@
 
 use super::colmap_model::{CameraRecord, ImageRecord, Model};
 use super::left_out::usable_points;
-use super::{Format, checked, colmap_binary, colmap_text, find_below};
+use super::{Format, checked, colmap_binary, colmap_text, find_below, told_of_others};
 use crate::media::{natural_order, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
 use ffgs_core::Intrinsics;
@@ -16,13 +16,16 @@ pub const FORMAT: Format =
     Format { name: "colmap", looks_for: "cameras.bin or cameras.txt with images (COLMAP)", find, read };
 
 fn find(folder: &Path) -> Option<PathBuf> {
-    find_below(folder, &|path| {
-        let named = |name: &str| path.file_name().is_some_and(|n| n == name);
-        let both = |ending: &str| {
-            named(&format!("cameras.{ending}")) && path.with_file_name(format!("images.{ending}")).is_file()
-        };
-        both("bin") || both("txt")
-    })
+    find_below(folder, &is_model)
+}
+
+/// Whether a path is the list of cameras of a model.
+fn is_model(path: &Path) -> bool {
+    let named = |name: &str| path.file_name().is_some_and(|n| n == name);
+    let both = |ending: &str| {
+        named(&format!("cameras.{ending}")) && path.with_file_name(format!("images.{ending}")).is_file()
+    };
+    both("bin") || both("txt")
 }
 
 fn read(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
@@ -44,6 +47,9 @@ fn read_one(folder: &Path, file: &Path) -> Result<Footage, CalibrationError> {
     let mut footage = Footage::default();
     let model = read_model(file, &mut footage.skipped)?;
     footage.points = model.points;
+    // A model in both forms is one.
+    let is_other = |path: &Path| is_model(path) && path.parent() != file.parent();
+    footage.assumed.extend(told_of_others(folder, file, &is_other));
     let media = Media::find(folder)?;
     for image in &model.images {
         match pictures(&media, &image.name) {

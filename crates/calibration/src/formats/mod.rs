@@ -135,6 +135,20 @@ fn find_below(folder: &Path, fits: &dyn Fn(&Path) -> bool) -> Option<PathBuf> {
     levels(folder).find_map(|level| level.into_iter().find(|path| fits(path)))
 }
 
+/// Says which of several calibrations in or below `folder` is read, where others fit as well.
+fn told_of_others(folder: &Path, taken: &Path, fits: &dyn Fn(&Path) -> bool) -> Option<String> {
+    let others = levels(folder).flatten().filter(|path| path != taken && fits(path));
+    let names: Vec<String> =
+        others.map(|path| path.strip_prefix(folder).unwrap_or(&path).display().to_string()).collect();
+    let taken = taken.strip_prefix(folder).unwrap_or(taken).display();
+    (!names.is_empty()).then(|| {
+        format!(
+            "of several calibrations {taken} is read, not {}: move away what is not meant",
+            names.join(", ")
+        )
+    })
+}
+
 fn file_called(folder: &Path, name: &str) -> Option<PathBuf> {
     find_below(folder, &|path| path.is_file() && path.file_name().is_some_and(|n| n == name))
 }

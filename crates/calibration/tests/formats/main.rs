@@ -447,3 +447,39 @@ fn several_videos_in_a_cameras_folder_are_named() {
     fs::remove_file(pictures.path().join("data/cam1/second.avi")).unwrap();
     assert_eq!(read(pictures.path(), "toml").cameras.len(), 2, "the only footage is taken");
 }
+
+/// An old calibration beside the new one, and models of two attempts.
+#[test]
+fn which_of_several_calibrations_is_read_is_told() {
+    let pictures = folder(&["cam1/0.png", "cam2/0.png"]);
+    let told = |format: &str| read(pictures.path(), format).assumed.join("\n");
+    write(&pictures, "calibration.toml", &format!("[cam1]{}", documented()));
+    write(&pictures, "pyproject.toml", "[tool.black]\nsize = 3\n");
+    assert!(!told("toml").contains("of several"), "{}", told("toml"));
+    write(&pictures, "calib_old.toml", &format!("[cam1]{}", documented()));
+    assert!(told("toml").contains("calib_old.toml is read, not calibration.toml:"), "{}", told("toml"));
+    let model = |at: &str| {
+        write(&pictures, &format!("{at}/cameras.txt"), &format!("1 PINHOLE {WIDTH} {HEIGHT} 70 72 32 24\n"));
+        write(&pictures, &format!("{at}/images.txt"), "1 1 0 0 0 0 0 2 1 cam1/0.png\n\n");
+    };
+    for file in ["calibration.toml", "calib_old.toml"] {
+        fs::remove_file(pictures.path().join(file)).unwrap();
+    }
+    model("sparse/0");
+    assert_eq!(told("colmap"), "");
+    model("sparse/1");
+    assert!(
+        told("colmap").contains("sparse/0/cameras.txt is read, not sparse/1/cameras.txt:"),
+        "{}",
+        told("colmap")
+    );
+}
+
+#[test]
+fn a_camera_without_pictures_is_told_with_what_is_there() {
+    let pictures = folder(&["cam1/0.png", "GOPR7/0.png"]);
+    write(&pictures, "calibration.toml", &format!("[cam1]{}", documented()));
+    let footage = read(pictures.path(), "toml");
+    let told = footage.skipped.join("\n");
+    assert!(told.contains("has no video or folder called") && told.contains("GOPR7"), "{told}");
+}

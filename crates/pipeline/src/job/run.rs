@@ -498,8 +498,8 @@ fn require_end(request: &RunRequest, folder: &RunFolder, frames: Range<usize>) -
     let finished = frames.take_while(|frame| request.resume && folder.is_finished(*frame));
     let Some(last) = finished.last().filter(|last| folder.thinned(*last).exists()) else { return Ok(()) };
     bail!(
-        "{} does not keep the Gaussians of frame {last} (--keep), with which --frames would end the run; a frame can be \
-         shown alone by ffgs render, or leave --frames as it was",
+        "{} does not keep the Gaussians of frame {last} (--keep), with which --frames would end it; leave --frames as it was, or \
+         choose another --out",
         folder.0.display()
     )
 }
