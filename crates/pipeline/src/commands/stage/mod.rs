@@ -50,12 +50,6 @@ pub enum Stage {
     Ssim,
 }
 
-impl Stage {
-    fn has_literal_form(self) -> bool {
-        matches!(self, Self::Associate | Self::Fuse | Self::Ssim)
-    }
-}
-
 impl std::fmt::Display for Stage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let value = self.to_possible_value().expect("no stage is hidden");
@@ -80,9 +74,6 @@ pub enum Form {
 pub fn run(stage: Stage, form: Form, input: &Path, output: &Path, device: &Device) -> Result<()> {
     if stage != Stage::Rasterize && matches!(device, Device::Gpu(_)) {
         bail!("--device: stage {stage} runs on the CPU only; rasterize runs on a GPU");
-    }
-    if form == Form::Literal && !stage.has_literal_form() {
-        bail!("--literal: stage {stage} has one form only; associate, fuse and ssim have two");
     }
     let arrays = Input::open(input)?;
     let results: Result<NpzWriter> = match stage {
