@@ -3,6 +3,7 @@
 //! Four steps, each of which can be repeated alone: pictures (extraction and undistortion, with the camera lists),
 //! masks, points and tracks. A file that is there is complete and is not made again.
 
+mod agreement;
 mod beside;
 mod blocks;
 mod camera_lists;
@@ -16,7 +17,6 @@ mod free_space;
 mod ground;
 mod hull;
 mod in_place;
-mod inverted;
 mod journal;
 mod masks;
 mod moments;

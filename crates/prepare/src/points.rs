@@ -9,9 +9,9 @@ use crate::stereo::{self, StereoPoint};
 use crate::views::{View, load};
 use crate::windows::Pictures;
 use crate::{PrepareError, Progress};
-use crate::{foreground, free_space, inverted, spread};
+use crate::{agreement, foreground, free_space, spread};
 use ffgs_arrays::NpzWriter;
-use ffgs_dataset::Capture;
+use ffgs_dataset::{Capture, Split};
 use glam::DVec3;
 use std::cell::Cell;
 
@@ -46,6 +46,8 @@ struct Matched<'a> {
     ground: Option<Ground>,
     /// Where they come from, in words.
     account: String,
+    /// What is to be told of single cameras.
+    doubt: Option<String>,
 }
 
 /// Writes `init_pt_cld.npz`. `known` are points of the calibration's own program. Returns what was done.
@@ -59,7 +61,8 @@ pub(crate) fn make(
     let known = &known.iter().map(in_views).collect::<Vec<_>>();
     let parts = Parts { progress, done: Cell::new(0), total: PARTS + MAPS * views.len() };
     parts.finish(0);
-    let matched = matched(&views, known, &parts)?;
+    let names: Vec<String> = capture.views(Split::Train).iter().map(|view| view.name.clone()).collect();
+    let matched = matched(&views, &names, known, &parts)?;
     let mut rows = rows_of(&views, &matched.points);
     let moving = foreground::complete(&views, &matched.points, &matched.space);
     parts.finish(1);
@@ -75,6 +78,10 @@ pub(crate) fn make(
         tracing::warn!("{DISAGREE}");
         text = format!("{text}; {DISAGREE}");
     }
+    if let Some(doubt) = &matched.doubt {
+        tracing::warn!("{doubt}");
+        text = format!("{text}; {doubt}");
+    }
     rows.extend([moving.hull, moving.spread].concat());
     rows.extend(still.points.iter().map(|p| row(p.position, p.colour, false)));
     rows.iter_mut().flat_map(|row| &mut row[COLOUR]).for_each(|channel| *channel /= gain);
@@ -88,11 +95,13 @@ pub(crate) fn make(
 
 /// Points of the calibration, or matched features, those of depth maps and those of the ground. Those of the calibration are kept as they are. Left out are
 /// features that depth maps do not confirm, where these find anything, mirror images beneath the ground, and what views look through.
-fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Result<Matched<'a>, PrepareError> {
-    let features = if known.is_empty() { stereo::points(views) } else { Vec::new() };
-    if known.is_empty() {
-        inverted::refuse(views, features.len())?;
-    }
+fn matched<'a>(
+    views: &'a [View],
+    names: &[String],
+    known: &[StereoPoint],
+    parts: &Parts,
+) -> Result<Matched<'a>, PrepareError> {
+    let (features, doubt) = if known.is_empty() { features(views, names)? } else { Default::default() };
     parts.finish(1);
     let pictures = Pictures::new(views);
     let near = if known.is_empty() { &features } else { known };
@@ -118,7 +127,14 @@ fn matched<'a>(views: &'a [View], known: &[StereoPoint], parts: &Parts) -> Resul
     let (points, space) = free_space::consistent(views, known, found, ground.as_ref());
     parts.finish(1);
     let account = account(known.len(), of_features, of_maps, of_ground, points.len());
-    Ok(Matched { points, space, ground, account })
+    Ok(Matched { points, space, ground, account, doubt })
+}
+
+/// Points from descriptors that pairs of neighbouring cameras agree on, and what makes single cameras doubtful.
+fn features(views: &[View], names: &[String]) -> Result<(Vec<StereoPoint>, Option<String>), PrepareError> {
+    let frames = stereo::described(views);
+    let doubt = agreement::check(views, names, &frames)?;
+    Ok((stereo::points(views, &frames), doubt))
 }
 
 /// In words: how many points there are of the calibration, of features, of depth maps and of the ground, where one was found, and how many of these are `left`.

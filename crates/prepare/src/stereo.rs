@@ -14,7 +14,7 @@ pub(crate) const WIDEST_ANGLE: f64 = 0.9;
 const LINE: f64 = 0.002;
 const LEAST_LINE_PX: f64 = 1.5;
 /// Lowe's ratio along a line, where few others compete.
-const RATIO: f32 = 0.8;
+pub(crate) const RATIO: f32 = 0.8;
 /// Least angle between two rays: below it the depth is not known.
 const LEAST_ANGLE: f64 = 0.02;
 /// Keypoints of a picture.
@@ -28,16 +28,23 @@ pub(crate) struct StereoPoint {
     pub colour: [f32; 3],
 }
 
-/// All points that pairs of neighbouring cameras agree on.
-pub(crate) fn points(views: &[View]) -> Vec<StereoPoint> {
+/// The pictures of views with their keypoints, the strongest first.
+pub(crate) fn described(views: &[View]) -> Vec<Frame> {
     let config = TrackerConfig { corners: 2 * KEYPOINTS, described: KEYPOINTS, ..TrackerConfig::default() };
-    let frames: Vec<Frame> = views.par_iter().map(|view| Frame::new(&view.image, None, &config)).collect();
+    views.par_iter().map(|view| Frame::new(&view.image, None, &config)).collect()
+}
+
+/// All points that pairs of neighbouring cameras agree on. `frames` are the pictures of the views.
+pub(crate) fn points(views: &[View], frames: &[Frame]) -> Vec<StereoPoint> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let found: Vec<Vec<StereoPoint>> = pairs(&cameras, NEIGHBOURS, WIDEST_ANGLE)
-        .into_par_iter()
-        .map(|(a, b)| pair_points(views, &frames, a, b))
-        .collect();
+    let found: Vec<Vec<StereoPoint>> =
+        neighbours(&cameras).into_par_iter().map(|(a, b)| pair_points(views, frames, a, b)).collect();
     found.concat()
+}
+
+/// The pairs of cameras that are matched.
+pub(crate) fn neighbours(cameras: &[Camera]) -> Vec<(usize, usize)> {
+    pairs(cameras, NEIGHBOURS, WIDEST_ANGLE)
 }
 
 /// Each camera with the `count` nearest whose axes are within an angle, every pair once.
@@ -71,14 +78,13 @@ fn pair_points(views: &[View], frames: &[Frame], a: usize, b: usize) -> Vec<Ster
     there.iter().enumerate().filter_map(point).collect()
 }
 
-fn pixel(p: [f32; 2]) -> DVec2 {
+pub(crate) fn pixel(p: [f32; 2]) -> DVec2 {
     DVec2::new(p[0].into(), p[1].into())
 }
 
 /// For every keypoint of `from` the distinct nearest one near its epipolar line in `to`.
 fn along_lines(from: &Camera, to: &Camera, a: &Frame, b: &Frame) -> Vec<Option<usize>> {
-    let fundamental = fundamental(from, to);
-    let reach = (LINE * to.size().width as f64).max(LEAST_LINE_PX);
+    let (fundamental, reach) = (fundamental(from, to), reach(to));
     let ends: Vec<DVec2> = b.keypoints().iter().map(|q| pixel(*q)).collect();
     let find = |(p, d): (&[f32; 2], &ffgs_trackers::Descriptor)| {
         let line = fundamental * pixel(*p).extend(1.0);
@@ -90,8 +96,13 @@ fn along_lines(from: &Camera, to: &Camera, a: &Frame, b: &Frame) -> Vec<Option<u
     a.keypoints().iter().zip(a.descriptors()).map(find).collect()
 }
 
+/// Distance (px) from an epipolar line at which a place still lies on it.
+pub(crate) fn reach(camera: &Camera) -> f64 {
+    (LINE * camera.size().width as f64).max(LEAST_LINE_PX)
+}
+
 /// The matrix that takes a pixel of `from` to its line in `to` (Hartley and Zisserman, 9.2).
-fn fundamental(from: &Camera, to: &Camera) -> DMat3 {
+pub(crate) fn fundamental(from: &Camera, to: &Camera) -> DMat3 {
     let rotation = to.rotation() * from.rotation().transpose();
     let t = to.translation() - rotation * from.translation();
     let cross =
