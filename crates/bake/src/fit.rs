@@ -57,7 +57,7 @@ impl FitConfig {
 const VISITS: usize = 4;
 /// Pixels of all targets together at most, which bounds their memory (1 GB); the cameras themselves are always among them.
 const MOST_PIXELS: usize = 1 << 28;
-/// Pixels by which masks of what is fitted are grown for the loss, so that outlines are learnt from both sides.
+/// Pixels by which masks of what is fitted are widened for the loss, so that outlines are learnt from both sides.
 const LOSS_DILATION: usize = 2;
 
 /// Fits the Gaussians from number `first` on to renders of `scene` from `cameras` and from between them, by the filter that they have; those
@@ -110,8 +110,8 @@ fn task_view(view: &TrainingView, whole: bool) -> Option<TaskView<'_>> {
     }
     (view.mask.count() > 0).then(|| TaskView {
         view,
-        region: Some(view.mask.dilated(LOSS_DILATION)),
-        tiles: Some(TileMask::covering(&view.mask.dilated(TILE_DILATION))),
+        region: Some(view.mask.widened(LOSS_DILATION)),
+        tiles: Some(TileMask::covering(&view.mask.widened(TILE_DILATION))),
     })
 }
 

@@ -22,6 +22,13 @@ impl ImageSize {
         self.width * self.height
     }
 
+    /// How many times as large the image is as one whose longer side has 320 pixels, and no less than once. Lengths in pixels that stand for a share
+    /// of the image are multiplied by it.
+    pub fn enlargement(self) -> f64 {
+        const LONGER_SIDE: f64 = 320.0;
+        (self.width.max(self.height) as f64 / LONGER_SIDE).max(1.0)
+    }
+
     /// Number of whole blocks of `factor` pixels along each side; the size itself where a side has none.
     #[must_use]
     pub fn reduced(self, factor: usize) -> Self {

@@ -71,8 +71,7 @@ impl Mask {
 
     /// The radius (px) by which [`widened`](Self::widened) grows.
     pub fn margin(&self, pixels: usize) -> usize {
-        let share = self.size.width.max(self.size.height) as f64 / MARGIN_WIDTH;
-        (pixels as f64 * share.max(1.0)).round() as usize
+        (pixels as f64 * self.size.enlargement()).round() as usize
     }
 
     /// Without the parts that no square of `2 radius + 1` pixels fits into (morphological opening).
@@ -82,9 +81,6 @@ impl Mask {
         inverse(&inverse(self).dilated(radius)).dilated(radius)
     }
 }
-
-/// Longer side (px) of the images on which margins of masks were chosen.
-const MARGIN_WIDTH: f64 = 320.0;
 
 /// Marks every position within `radius` of a set one, in linear time.
 fn spread(n: usize, radius: usize, is_set: impl Fn(usize) -> bool, mut mark: impl FnMut(usize)) {

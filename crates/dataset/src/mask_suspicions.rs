@@ -18,10 +18,10 @@ const EXPOSURE_STEP: f64 = 1.15;
 const UNEXPLAINED: f64 = 0.5;
 /// One in so many of the views that see a place may miss it in its mask: something may stand in front.
 const HIDDEN_IN: usize = 4;
-/// Pixels of a mask that are tried, places along the ray of each, and how far (px) a mask is widened.
+/// Pixels of a mask that are tried, places along the ray of each, and how far (px, as of [`Mask::widened`]) a mask is widened.
 const PIXELS: usize = 150;
 const PLACES: usize = 96;
-const WIDENED_PX: usize = 3;
+const WIDENED: usize = 3;
 
 /// What is kept of every frame of a training view.
 #[derive(Clone, Debug, Default)]
@@ -156,7 +156,7 @@ fn unexplained(capture: &dyn Capture, points: &Points, views: usize, frame: usiz
     let load = |view| {
         let at = ViewAt { split: Split::Train, view, frame };
         let (camera, mask) = (capture.camera(at).ok()?, capture.mask(at).ok()??);
-        let wide = mask.dilated(WIDENED_PX);
+        let wide = mask.widened(WIDENED);
         Some(Seen { camera, mask, wide })
     };
     let seen: Vec<Option<Seen>> = (0..views).into_par_iter().map(load).collect();

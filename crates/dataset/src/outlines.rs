@@ -20,12 +20,13 @@ const PARTNERS: usize = 12;
 const LEAST_MOMENTS: usize = 4;
 /// Pairs that a camera must have.
 const LEAST_PAIRS: usize = 2;
-/// Distances (px) count no more than this: what is farther is another object or a part that is hidden.
-const FAR_PX: f64 = 10.0;
+/// Distances count no more than this: what is farther is another object or a part that is hidden. Distances are in pixels of an image whose longer side has
+/// 320 ([`ffgs_core::ImageSize::enlargement`]), as outlines err by a share of the image.
+const FAR: f64 = 10.0;
 /// An offset is told when it divides the mean distance by this,
 const BETTER: f64 = 2.0;
-/// and lowers it by so many pixels. Synchronised captures have at most a third of it.
-const GAIN_PX: f64 = 1.0;
+/// and lowers it by so much. Synchronised captures have at most a third of it.
+const GAIN: f64 = 1.0;
 
 /// The convex hull of a mask: no other point can be the first or last that an epipolar line meets.
 #[derive(Clone, Debug, Default)]
@@ -90,7 +91,7 @@ pub(crate) fn offsets(cameras: &[Watched]) -> Vec<isize> {
     costs.iter().map(|pairs| best_offset(pairs)).collect()
 }
 
-/// Distances (px) at every offset from -REACH to REACH.
+/// Distances at every offset from -REACH to REACH.
 type Cost = [f64; OFFSETS];
 
 fn best_offset(pairs: &[Cost]) -> isize {
@@ -101,7 +102,7 @@ fn best_offset(pairs: &[Cost]) -> isize {
     let now = mean(REACH as usize);
     let all = (0..OFFSETS).map(|k| (mean(k), k as isize - REACH));
     let (best, offset) = all.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((now, 0));
-    if now > BETTER * best && now - best > GAIN_PX { offset } else { 0 }
+    if now > BETTER * best && now - best > GAIN { offset } else { 0 }
 }
 
 /// Median distance between the ends of both ranges; `None` when some offset has too few common moments.
@@ -112,7 +113,8 @@ fn pair_cost(a: &Watched, b: &Watched) -> Option<Cost> {
     let [of_a, of_b] = [a, b].map(|w| -> Vec<Range> {
         w.outlines.iter().take(FRAMES).map(|o| range(&w.camera, o, planes)).collect()
     });
-    let focal = a.camera.intrinsics().focal().min(b.camera.intrinsics().focal());
+    let pixels = |w: &Watched| w.camera.intrinsics().focal() / w.camera.size().enlargement();
+    let focal = pixels(a).min(pixels(b));
     let mut cost = [0.0; OFFSETS];
     for (k, cost) in cost.iter_mut().enumerate() {
         let offset = k as isize - REACH;
@@ -124,14 +126,14 @@ fn pair_cost(a: &Watched, b: &Watched) -> Option<Cost> {
         }
         // A short capture has no moments in common at large offsets.
         if distances.len() < LEAST_MOMENTS {
-            *cost = FAR_PX;
+            *cost = FAR;
             if offset == 0 {
                 return None;
             }
             continue;
         }
         let middle = distances.len() / 2;
-        *cost = distances.select_nth_unstable_by(middle, f64::total_cmp).1.min(FAR_PX);
+        *cost = distances.select_nth_unstable_by(middle, f64::total_cmp).1.min(FAR);
     }
     Some(cost)
 }
@@ -170,34 +172,50 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { width: 160, height: 120 };
 
-    fn camera(i: usize) -> Camera {
+    /// Of images so many times as large.
+    fn camera(i: usize, times: usize) -> Camera {
         let angle = TAU * i as f64 / 5.0;
         let eye = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.5);
         let forward = -eye.normalize();
         let right = forward.cross(DVec3::Z).normalize();
         let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
         let pose = DMat4::from_translation(-(rotation * eye)) * DMat4::from_mat3(rotation);
-        Camera::new(Intrinsics { fx: 140.0, fy: 140.0, cx: 80.0, cy: 60.0 }, pose, SIZE).unwrap()
+        let [f, cx, cy] = [140, 80, 60].map(|v| (v * times) as f64);
+        let size = ImageSize { width: SIZE.width * times, height: SIZE.height * times };
+        Camera::new(Intrinsics { fx: f, fy: f, cx, cy }, pose, size).unwrap()
     }
 
     /// A ball that moves in a curve, seen at a time.
     fn outline(camera: &Camera, time: f64) -> Outline {
         let centre = DVec3::new(0.12 * time - 0.7, 0.3 * (0.5 * time).sin(), 0.2 * (0.4 * time).cos());
+        let size = camera.size();
         let inside = |i: usize| {
-            let pixel = DVec2::new((i % SIZE.width) as f64 + 0.5, (i / SIZE.width) as f64 + 0.5);
+            let pixel = DVec2::new((i % size.width) as f64 + 0.5, (i / size.width) as f64 + 0.5);
             let (ray, to) = (camera.ray(pixel), centre - camera.center());
             u8::from((to - ray * to.dot(ray) / ray.length_squared()).length() < 0.35)
         };
-        Outline::of(&Mask::new(SIZE, (0..SIZE.pixels()).map(inside).collect()).unwrap())
+        Outline::of(&Mask::new(size, (0..size.pixels()).map(inside).collect()).unwrap())
     }
 
     fn rig(late: usize, by: f64) -> Vec<Watched> {
+        slow_rig(late, by, 1.0, 1)
+    }
+
+    /// Of images so many times as large, before which the ball moves at so much of its speed.
+    fn slow_rig(late: usize, by: f64, speed: f64, times: usize) -> Vec<Watched> {
         let watched = |i| {
-            let camera = camera(i);
-            let time = |t: i32| f64::from(t) + if i == late { by } else { 0.0 };
+            let camera = camera(i, times);
+            let time = |t: i32| speed * (f64::from(t) + if i == late { by } else { 0.0 });
             Watched { outlines: (0..12).map(|t| outline(&camera, time(t))).collect(), camera }
         };
         (0..5).map(watched).collect()
+    }
+
+    #[test]
+    fn larger_images_of_the_same_are_judged_alike() {
+        for (speed, found) in [(0.017, [0; 5]), (0.3, [0, 0, 3, 0, 0])] {
+            assert_eq!([2, 4].map(|times| offsets(&slow_rig(2, 3.0, speed, times))), [found; 2], "{speed}");
+        }
     }
 
     #[test]

@@ -91,7 +91,7 @@ fn load(
     let image = dark::brightened(capture.load_image(Split::Train, view, frame)?, gain);
     let mask = capture.load_mask(Split::Train, view, frame)?;
     // The outline moves too, and its windows reach over it.
-    let mask = mask.map(|m| m.dilated(2));
+    let mask = mask.map(|m| m.widened(2));
     Ok(Frame::new(&image, mask.as_ref(), config))
 }
 

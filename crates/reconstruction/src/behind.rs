@@ -28,7 +28,7 @@ const PLANE_SHARE: f64 = 0.3;
 const TOLERANCE: f64 = 0.01;
 /// A plane ends at so many times the distance of the ring's farthest Gaussian.
 const REACH: f64 = 1.5;
-/// Pixels from one point to the next.
+/// Pixels from one point to the next; of photographs that are as large as the moving layer's splats can show, whatever their own size.
 const STRIDE: usize = 2;
 /// Views that show a surface in the open behind a point deny it.
 const DENIALS: usize = 2;

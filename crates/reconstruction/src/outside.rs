@@ -6,10 +6,12 @@ use ffgs_rasterizer::{Background, CpuRasterizer, FootprintSums, RenderOptions, R
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Weights of its pixels, summed over all views of the first frame, below which a Gaussian is hidden in them.
+/// Weights of its pixels, summed over all views of the first frame, below which a Gaussian is hidden in them; as of images whose longer side has 320
+/// pixels ([`ffgs_core::ImageSize::enlargement`]): a splat covers more pixels of a larger image.
 pub(crate) const HIDDEN_BELOW: f32 = 1.0;
 
-/// Per Gaussian the sums of its weights `alpha T` over the pixels of all views, `[inside their masks, all]`; masks are widened by `marking.dilation`.
+/// Per Gaussian the sums of its weights `alpha T` over the pixels of all views, `[inside their masks, all]`; masks are widened by `marking.dilation`, and the
+/// pixels of an image that is larger than one of 320 count for the part of it that they are.
 pub(crate) fn shown_weights(
     marking: &MarkingConfig,
     gaussians: &Gaussians,
@@ -20,8 +22,9 @@ pub(crate) fn shown_weights(
     let rasterizer = CpuRasterizer::new(RenderOptions { sh_degree: Some(0), ..RenderOptions::default() });
     for view in views {
         let mask = view.mask.widened(marking.dilation);
-        let inside: Vec<f32> = mask.data().iter().map(|&held| f32::from(u8::from(held != 0))).collect();
-        let all = vec![1.0; inside.len()];
+        let pixel = view.camera.size().enlargement().powi(-2) as f32;
+        let inside: Vec<f32> = mask.data().iter().map(|&held| if held == 0 { 0.0 } else { pixel }).collect();
+        let all = vec![pixel; inside.len()];
         let frame = View { camera: &view.camera, background: Background::Colour([0.0; 3]), tiles: None };
         rasterizer.accumulate(gaussians, &frame, &[&inside, &all], &mut tape, &mut footprints);
         sums.par_iter_mut().enumerate().for_each(|(i, sums)| {

@@ -7,10 +7,11 @@ use rayon::prelude::*;
 
 /// Fewer tracks on the background tell nothing.
 const LEAST_TRACKS: usize = 20;
-/// Motion (px per frame) from which it is told. On captures with noise, night and rain, the median of what stands still is up to 0.6.
+/// Motion (px per frame) from which it is told, on any size of image, as trackers err by parts of a pixel. On captures with noise, night and rain, the
+/// median of what stands still is up to 0.6.
 const MOVES_PX: f32 = 1.5;
-/// How far (px) around a mask tracks may still be those of the moving thing.
-const AROUND_PX: usize = 5;
+/// How far (px, as of [`Mask::widened`](ffgs_core::Mask::widened)) around a mask tracks may still be those of the moving thing.
+const AROUND: usize = 5;
 /// Steps that are looked at, spread over the frames.
 const STEPS: usize = 5;
 
@@ -56,7 +57,7 @@ fn background_lengths(store: &TrackStore, capture: &dyn Capture, view: usize, fr
     if before.camera_from_world() != now.camera_from_world() || before.intrinsics() != now.intrinsics() {
         return Vec::new();
     }
-    let mask = capture.mask(at(frame - 1)).ok().flatten().map(|m| m.dilated(AROUND_PX));
+    let mask = capture.mask(at(frame - 1)).ok().flatten().map(|m| m.widened(AROUND));
     let size = before.size();
     let is_background = |p: [f32; 2]| {
         let inside = p[0] >= 0.0 && p[1] >= 0.0 && p[0] < size.width as f32 && p[1] < size.height as f32;
