@@ -49,12 +49,6 @@ pub fn write_png(path: &Path, picture: &ImageRgb8) -> Result<()> {
     .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Whether a camera keeps its pose over the capture.
-fn is_fixed(capture: &dyn Capture, ViewAt { split, view, .. }: ViewAt) -> bool {
-    let camera = |frame| capture.camera(ViewAt { split, view, frame }).ok();
-    (1..capture.frames_of(split)).all(|frame| camera(frame) == camera(0))
-}
-
 /// A view as it was photographed, and the exposure in which it is to be rendered.
 pub(crate) struct ScoredView {
     at: ViewAt,
@@ -170,7 +164,7 @@ pub(crate) fn score(
         let ssim = SsimMap::new(&rendered, &truth.image)?;
         let metrics = ViewMetrics {
             camera: name.clone(),
-            fixed: is_fixed(capture, *at),
+            fixed: capture.is_fixed(at.split, at.view).unwrap_or(false),
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
             ssim: ssim.mean(),
