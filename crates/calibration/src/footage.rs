@@ -40,6 +40,14 @@ pub struct SourceCamera {
     pub role: Role,
 }
 
+/// The poses of [`SourceCamera::poses`], given one per picture.
+pub(crate) fn one_if_fixed(mut poses: Vec<DMat4>) -> Vec<DMat4> {
+    if poses.iter().all(|pose| *pose == poses[0]) {
+        poses.truncate(1);
+    }
+    poses
+}
+
 /// Where a camera's pictures are.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pictures {

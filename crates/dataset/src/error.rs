@@ -17,6 +17,14 @@ pub enum DatasetError {
         /// Why.
         source: io::Error,
     },
+    /// A picture cannot be written.
+    #[error("cannot write {}: {source}", .file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
     /// A meta file is not the JSON that the layout asks for.
     #[error("{}: not a camera list of the Dynamic3DGaussians layout: {reason}", .file.display())]
     Meta {
@@ -79,6 +87,7 @@ impl DatasetError {
     pub fn fix(&self) -> &'static str {
         match self {
             Self::Io { .. } => "add the file or correct its name in the meta file",
+            Self::Write { .. } => "check the path, its permissions and the free space",
             Self::Meta { .. } => "write w, h, k, w2c, fn and cam_id with one entry per frame and camera",
             Self::Camera { .. } => {
                 "store finite intrinsics and a rigid world-to-camera matrix, or drop the camera"

@@ -103,6 +103,7 @@ impl DatasetError {
     pub fn in_capture(&self, root: &Path) -> Fault {
         let file = match self {
             Self::Io { file, .. }
+            | Self::Write { file, .. }
             | Self::Meta { file, .. }
             | Self::Camera { file, .. }
             | Self::Image { file, .. }

@@ -31,5 +31,5 @@ pub use error::DatasetError;
 pub use ffgs_method::{Fault, Points, Split};
 pub use format::Dynamic3dGaussians;
 pub use meta::View;
-pub use pixels::{probe_image, read_image, read_image_with_file, read_mask};
+pub use pixels::{probe_image, read_image, read_image_with_file, read_mask, write_image, write_mask};
 pub use report::{CheckReport, Note, SplitSummary, ViewSummary};

@@ -91,17 +91,16 @@ fn exposure_steps(capture: &dyn Capture, view: usize, history: &ViewHistory) -> 
     })
 }
 
-/// Cameras whose frames belong to other moments than those of the others.
+/// Fixed cameras whose frames belong to other moments than those of the others.
 fn clocks(capture: &dyn Capture, histories: &[ViewHistory]) -> Vec<Note> {
-    let last = capture.frames().saturating_sub(1);
     let (mut views, mut watched) = (Vec::new(), Vec::new());
     for (view, history) in histories.iter().enumerate() {
-        if let (Some(first), Some(then)) = (camera(capture, view, 0), camera(capture, view, last))
-            && first.camera_from_world() == then.camera_from_world()
+        if let Some(camera) = camera(capture, view, 0)
+            && capture.is_fixed(Split::Train, view).unwrap_or(false)
             && history.outlines.len() == capture.frames()
         {
             views.push(view);
-            watched.push(Watched { camera: first, outlines: history.outlines.clone() });
+            watched.push(Watched { camera, outlines: history.outlines.clone() });
         }
     }
     let note = |(view, offset): (usize, isize)| {

@@ -1,23 +1,18 @@
 //! An origin near the cameras: positions are kept as f32, which has seven digits for all of them together.
 
-use ffgs_core::Camera;
+use ffgs_core::{Camera, RigExtent};
 use glam::DVec3;
-
-/// Distance from zero, in radii of the rig, up to which coordinates stay as they are: f32 then resolves a hundred-thousandth
-/// of the radius.
-const FAR: f64 = 100.0;
 
 /// Zero, or for cameras far from it a round place near them (m).
 pub(crate) fn near(cameras: impl Iterator<Item = Camera>) -> DVec3 {
     let centres: Vec<DVec3> = cameras.map(|camera| camera.center()).collect();
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
-    if !(radius > 0.0 && mean.length() > FAR * radius) {
+    let rig = RigExtent::of(&centres);
+    if !(rig.radius > 0.0 && rig.is_far_from_zero()) {
         return DVec3::ZERO;
     }
     // A multiple of a power of two: what has it taken off or added to it keeps its digits.
-    let unit = radius.log2().floor().exp2();
-    (mean / unit).round() * unit
+    let unit = rig.radius.log2().floor().exp2();
+    (rig.middle / unit).round() * unit
 }
 
 #[cfg(test)]

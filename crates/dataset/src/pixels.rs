@@ -1,10 +1,11 @@
-//! Images and masks.
+//! Images and masks as files.
 
 use crate::error::DatasetError;
-use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, read_bytes};
-use image::{DynamicImage, ImageReader, Limits};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, read_bytes, write_atomically};
+use image::codecs::png::PngEncoder;
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageReader, Limits};
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, BufWriter, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Decoder memory per pixel: 16-bit RGBA, twice.
@@ -51,6 +52,36 @@ pub fn read_mask(file: &Path, size: ImageSize) -> Result<Mask, DatasetError> {
     Ok(Mask::new(size, data).expect("decode checked the size"))
 }
 
+/// Writes an 8-bit RGB PNG, whole or not at all.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_image(file: &Path, image: &ImageRgb8) -> Result<(), DatasetError> {
+    write_png(file, image.data(), image.size(), ExtendedColorType::Rgb8)
+}
+
+/// Writes a mask as a grey PNG of 0 and 255, whole or not at all.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_mask(file: &Path, mask: &Mask) -> Result<(), DatasetError> {
+    let bytes: Vec<u8> = mask.data().iter().map(|v| v * 255).collect();
+    write_png(file, &bytes, mask.size(), ExtendedColorType::L8)
+}
+
+fn write_png(
+    file: &Path,
+    bytes: &[u8],
+    size: ImageSize,
+    colour: ExtendedColorType,
+) -> Result<(), DatasetError> {
+    let write = |out: &mut BufWriter<File>| {
+        let encoder = PngEncoder::new(out);
+        encoder.write_image(bytes, size.width as u32, size.height as u32, colour).map_err(io::Error::other)
+    };
+    write_atomically(file, write).map_err(|source| DatasetError::Write { file: file.to_owned(), source })
+}
+
 /// Last bytes of a whole PNG (the empty IEND chunk with its checksum) and of a whole JPEG (end of image).
 const ENDS: [&[u8]; 2] = [b"\0\0\0\0IEND\xaeB`\x82", b"\xff\xd9"];
 
@@ -70,7 +101,7 @@ fn open(file: &Path) -> Result<BufReader<File>, DatasetError> {
     open_input(file).map(BufReader::new).map_err(|source| DatasetError::io(file, source))
 }
 
-fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> std::io::Result<bool> {
+fn ends_with(opened: &mut BufReader<File>, end: &[u8]) -> io::Result<bool> {
     opened.seek(SeekFrom::End(-(end.len() as i64)))?;
     let mut last = Vec::new();
     opened.take(end.len() as u64).read_to_end(&mut last)?;
@@ -123,4 +154,25 @@ fn reader<'a, R: BufRead + Seek>(
     limits.max_alloc = Some(most_bytes(size));
     reader.limits(limits);
     Ok(reader)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: ImageSize = ImageSize { width: 5, height: 3 };
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let image = ImageRgb8::new(SIZE, (0..45).map(|i| i * 5).collect()).unwrap();
+        let mask = Mask::new(SIZE, (0..15).map(|i| u8::from(i % 4 == 1)).collect()).unwrap();
+        let [picture, silhouette] = ["ims/a/0.png", "seg/a/0.png"].map(|name| folder.path().join(name));
+        write_image(&picture, &image).unwrap();
+        write_mask(&silhouette, &mask).unwrap();
+        assert_eq!(read_image(&picture, SIZE).unwrap(), image);
+        assert_eq!(read_mask(&silhouette, SIZE).unwrap(), mask);
+        let error = write_image(&picture.join("inside.png"), &image).unwrap_err();
+        assert!(error.to_string().starts_with(&format!("cannot write {}", picture.display())), "{error}");
+    }
 }

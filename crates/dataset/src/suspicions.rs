@@ -15,7 +15,8 @@ const INVERTED: f64 = 0.6;
 const OFF_CENTRE: f64 = 0.2;
 /// Brightness of the cameras may differ by this factor before it is told.
 const EXPOSURE_RATIO: f64 = 1.4;
-/// Distances from cameras to points (m) outside of this are told: a desk has more, a stadium less.
+/// Distances from cameras to points outside of this are told: in metres a desk has more, a stadium less. A run takes any
+/// unit (docs/adr/0061-lengths-without-a-unit.md), so it is a note: a unit that was not meant is easily overlooked.
 const PLAUSIBLE_METRES: (f64, f64) = (0.1, 1000.0);
 
 /// What is found from the cameras of frame 0, the points and what was counted of every view.
@@ -158,7 +159,7 @@ fn distances(capture: &dyn Capture, train: &[(String, Camera)], points: &Points)
     (!plausible).then(|| Note {
         file: capture.part(Part::Cameras(Split::Train)),
         text: format!(
-            "half of the points are nearer to the cameras than {median:.3} m: are the lengths metres?"
+            "half of the points are nearer to the cameras than {median:.3}: are the lengths metres? A run takes any unit"
         ),
     })
 }

@@ -133,9 +133,23 @@ fn a_change_of_exposure_is_told() {
     assert_only(&capture(darker), "exposure changes from one frame to the next at frame 7");
 }
 
+/// Camera c2 started two frames late.
+fn late(i: usize, t: usize) -> Shown {
+    Shown { time: t as f64 + if i == 2 { 2.0 } else { 0.0 }, ..sound(i, t) }
+}
+
+#[test]
+fn the_clock_of_a_camera_that_moves_and_comes_back_is_not_told() {
+    let folder = capture(late);
+    let file = folder.path().join("train_meta.json");
+    let mut meta: serde_json::Value = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+    meta["w2c"][5][2][0][3] = 0.5.into();
+    fs::write(&file, meta.to_string()).unwrap();
+    assert!(!notes(&folder).iter().any(|n| n.contains("not synchronised")));
+}
+
 #[test]
 fn a_camera_that_started_late_is_told_with_its_offset() {
-    let late = |i, t| Shown { time: t as f64 + if i == 2 { 2.0 } else { 0.0 }, ..sound(i, t) };
     let notes = notes(&capture(late));
     let found = notes.iter().filter(|n| n.contains("not synchronised")).collect::<Vec<_>>();
     assert!(

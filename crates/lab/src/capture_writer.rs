@@ -3,10 +3,10 @@
 use anyhow::{Context, Result};
 use exr::prelude::{SpecificChannels, Text, WritableImage, f16};
 use ffgs_arrays::NpzWriter;
-use ffgs_core::{Camera, DenseMotion, ImageRgb8, Mask, TrackSet, ViewMotion, write_atomically};
+use ffgs_core::{Camera, DenseMotion, ImageRgb8, Mask, TrackSet, ViewMotion};
+use ffgs_dataset::{write_image, write_mask};
 use ffgs_method::{Points, Split};
 use ffgs_pipeline::outputs::json::write_json;
-use ffgs_pipeline::outputs::scoring::write_png;
 use glam::DVec2;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -27,16 +27,8 @@ impl CaptureWriter {
 
     /// Image and mask of a view.
     pub(crate) fn view(&self, camera: &str, frame: usize, image: &ImageRgb8, mask: &Mask) -> Result<()> {
-        write_png(&self.0.join(format!("ims/{camera}/{frame:06}.png")), image)?;
-        let path = self.0.join(format!("seg/{camera}/{frame:06}.png"));
-        let grey: Vec<u8> = mask.data().iter().map(|v| u8::from(*v != 0) * 255).collect();
-        let (width, height) = (mask.size().width as u32, mask.size().height as u32);
-        write_atomically(&path, |out| {
-            let encoder = image::codecs::png::PngEncoder::new(out);
-            image::ImageEncoder::write_image(encoder, &grey, width, height, image::ExtendedColorType::L8)
-                .map_err(anyhow::Error::from)
-        })
-        .with_context(|| format!("cannot write {}", path.display()))
+        write_image(&self.0.join(format!("ims/{camera}/{frame:06}.png")), image)?;
+        Ok(write_mask(&self.0.join(format!("seg/{camera}/{frame:06}.png")), mask)?)
     }
 
     /// The camera list of a split; `cameras` are (frames, views).

@@ -3,9 +3,9 @@
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ffgs_core::Exposure;
+use ffgs_dataset::write_image;
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_pipeline::cli::args::LogArgs;
-use ffgs_pipeline::outputs::scoring::write_png;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_trainer::normal;
 use rand::SeedableRng;
@@ -61,7 +61,7 @@ pub(crate) fn run(args: &ExposeArgs) -> Result<()> {
     let places = exposures.iter().map(|(at, _)| place(args, &*capture, *at)).collect::<Result<Vec<_>>>()?;
     copy(&args.capture, &args.out)?;
     exposures.into_par_iter().zip(places).try_for_each(|((at, exposure), place)| {
-        write_png(&args.out.join(place), &exposure.removed(&capture.image(at)?))
+        Ok(write_image(&args.out.join(place), &exposure.removed(&capture.image(at)?))?)
     })
 }
 

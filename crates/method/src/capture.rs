@@ -1,7 +1,7 @@
 //! Captures: calibrated cameras with images over frames.
 
 use crate::{Fault, Plugin};
-use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_core::{Camera, ImageRgb8, Mask, is_fixed};
 use glam::DVec3;
 use std::collections::HashSet;
 use std::fmt;
@@ -43,6 +43,14 @@ pub trait Capture: fmt::Debug + Send + Sync {
     /// # Errors
     /// When the camera is none, or the capture has no such view.
     fn camera(&self, at: ViewAt) -> Result<Camera, Fault>;
+
+    /// Whether a view's camera stands still, by [`ffgs_core::is_fixed`].
+    ///
+    /// # Errors
+    /// As [`Capture::camera`], of the first frame whose camera cannot be read.
+    fn is_fixed(&self, split: Split, view: usize) -> Result<bool, Fault> {
+        is_fixed((0..self.frames_of(split)).map(|frame| self.camera(ViewAt { split, view, frame })))
+    }
 
     /// The image, of the camera's size.
     ///

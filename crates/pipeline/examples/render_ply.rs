@@ -3,8 +3,8 @@
 
 use anyhow::{Context, Result};
 use ffgs_core::ImageRgb8;
+use ffgs_dataset::write_image;
 use ffgs_method::{Split, ViewAt};
-use ffgs_pipeline::outputs::scoring::write_png;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, View};
 use std::path::Path;
@@ -19,5 +19,5 @@ fn main() -> Result<()> {
     let mut tape = RenderTape::default();
     let view = View { camera: &camera, background: Background::Colour([0.0; 3]), tiles: None };
     CpuRasterizer::default().render(&splats.gaussians, &view, &mut tape);
-    write_png(Path::new(out), &ImageRgb8::from(tape.image()))
+    Ok(write_image(Path::new(out), &ImageRgb8::from(tape.image()))?)
 }

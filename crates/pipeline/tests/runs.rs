@@ -1,6 +1,7 @@
 //! Runs over two or three frames of the sample, with next to no training.
 
 use ffgs_core::{Exposure, PixelFilter};
+use ffgs_dataset::write_image;
 use ffgs_method::{Split, ViewAt};
 use ffgs_pipeline::job::device::Device;
 use ffgs_pipeline::job::request::{FrameRange, RunRequest};
@@ -8,7 +9,6 @@ use ffgs_pipeline::job::run::run;
 use ffgs_pipeline::outputs::folder::RunFolder;
 use ffgs_pipeline::outputs::json::read_json;
 use ffgs_pipeline::outputs::record::{FrameRecord, Metrics};
-use ffgs_pipeline::outputs::scoring::write_png;
 use ffgs_pipeline::outputs::state;
 use ffgs_pipeline::plugins::registry::open_capture;
 use ffgs_pipeline::settings::config::Config;
@@ -245,7 +245,7 @@ fn exposed(folder: &Path, frames: &[(usize, &[(&str, f64)])]) -> PathBuf {
             let exposure = Exposure { offsets: [-offset; 3] };
             let image = exposure.removed(&capture.image(at).unwrap());
             let file = capture.image_file(at).unwrap();
-            write_png(&copy.join(file.strip_prefix(sample()).unwrap()), &image).unwrap();
+            write_image(&copy.join(file.strip_prefix(sample()).unwrap()), &image).unwrap();
         }
     }
     copy

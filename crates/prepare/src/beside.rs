@@ -2,12 +2,13 @@
 
 use crate::extraction::{Sequence, file_name, same_size};
 use crate::journal::absolute;
-use crate::pictures::{read_rgb, write_rgb};
+use crate::pictures::read_rgb;
 use crate::removal::remove;
 use crate::rig::{Rig, RigCamera};
 use crate::{PrepareError, Request, video};
 use ffgs_calibration::{CLEAN_PLATES, Media, Pictures};
 use ffgs_core::ImageRgb8;
+use ffgs_dataset::write_image;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -115,7 +116,7 @@ impl<'a> Beside<'a> {
         }
         let pictures = self.camera(camera).map_or(Ok(Vec::new()), spread)?;
         for (i, picture) in pictures.iter().enumerate() {
-            write_rgb(&file(i), picture)?;
+            write_image(&file(i), picture)?;
         }
         Ok(pictures)
     }

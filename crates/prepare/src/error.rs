@@ -55,7 +55,7 @@ pub enum PrepareError {
     /// The calibration cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
-    /// The capture that was written cannot be read.
+    /// The capture cannot be written, or cannot be read again.
     #[error(transparent)]
     Capture(#[from] DatasetError),
     /// A numpy file cannot be written.

@@ -5,6 +5,7 @@ use crate::schedule::Schedule;
 use crate::{PrepareError, Progress, pictures, video};
 use ffgs_calibration::Pictures;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
+use ffgs_dataset::{write_image, write_mask};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -82,7 +83,7 @@ fn extract_video(
 fn write(camera: &RigCamera, picture: &ImageRgb8, from: &Path, to: &Path) -> Result<(), PrepareError> {
     same_size(camera, picture.size(), from)?;
     // It has content everywhere: lenses with which it would not have are refused.
-    pictures::write_rgb(to, &camera.undistortion.apply(picture).0)
+    Ok(write_image(to, &camera.undistortion.apply(picture).0)?)
 }
 
 /// # Errors
@@ -137,7 +138,7 @@ fn extract_masks(camera: &RigCamera, wanted: &[usize], out: &Path) -> Result<(),
         if !to.exists() {
             let mask: Mask = pictures::read_mask(&files[*index])?;
             same_size(camera, mask.size(), &files[*index])?;
-            pictures::write_mask(&to, &camera.undistortion.apply_to_mask(&mask))?;
+            write_mask(&to, &camera.undistortion.apply_to_mask(&mask))?;
         }
     }
     Ok(())

@@ -5,8 +5,8 @@
 
 use crate::stereo::StereoPoint;
 use crate::views::{View, at_depth};
-use crate::windows::{Grey, Patch, Pictures, Window, grid, pixel, up};
-use ffgs_core::Camera;
+use crate::windows::{Grey, Patch, Pictures, Window, grid, pixel};
+use ffgs_core::{Camera, up};
 use glam::{DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
-//! Picture files of footage and captures: read and written, with errors that name the file.
+//! Picture files of footage: read whatever their size, with errors that name the file.
 
 use crate::PrepareError;
-use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input, write_atomically};
-use image::{ExtendedColorType, ImageEncoder, ImageReader, codecs::png::PngEncoder};
-use std::io::{self, BufReader};
+use ffgs_core::{ImageRgb8, ImageSize, Mask, open_input};
+use image::ImageReader;
+use std::io::BufReader;
 use std::path::Path;
 
 /// Reads a photograph of any size; grey is spread over the channels.
@@ -39,28 +39,4 @@ fn decode(file: &Path) -> Result<image::DynamicImage, PrepareError> {
     let image = reader.map_err(|e| PrepareError::io(file, e))?.decode();
     image
         .map_err(|e| PrepareError::picture(file, format!("not a readable image (damaged or truncated): {e}")))
-}
-
-/// Writes an 8-bit RGB PNG, whole or not at all.
-pub(crate) fn write_rgb(file: &Path, image: &ImageRgb8) -> Result<(), PrepareError> {
-    write_png(file, image.data(), image.size(), ExtendedColorType::Rgb8)
-}
-
-/// Writes a mask as 0 and 255, whole or not at all.
-pub(crate) fn write_mask(file: &Path, mask: &Mask) -> Result<(), PrepareError> {
-    let bytes: Vec<u8> = mask.data().iter().map(|v| v * 255).collect();
-    write_png(file, &bytes, mask.size(), ExtendedColorType::L8)
-}
-
-fn write_png(
-    file: &Path,
-    bytes: &[u8],
-    size: ImageSize,
-    colour: ExtendedColorType,
-) -> Result<(), PrepareError> {
-    let write = |w: &mut io::BufWriter<std::fs::File>| {
-        let encoder = PngEncoder::new(w);
-        encoder.write_image(bytes, size.width as u32, size.height as u32, colour).map_err(io::Error::other)
-    };
-    write_atomically(file, write).map_err(|e: io::Error| PrepareError::io(file, e))
 }

@@ -4,7 +4,7 @@ use crate::names::plain_name;
 use crate::schedule::Sequence;
 use crate::{PrepareError, Request, TestCameras, moments, pictures, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
-use ffgs_core::{Camera, ImageSize, counted};
+use ffgs_core::{Camera, ImageSize, RigExtent, counted};
 use glam::{DMat4, DVec3};
 use std::collections::BTreeMap;
 
@@ -37,9 +37,6 @@ pub(crate) struct Rig {
 /// From this many cameras on every eighth is held out, as the field does for photographs since LLFF.
 const ENOUGH_TO_HOLD_OUT: usize = 16;
 const USUAL_STRIDE: usize = 8;
-/// A scene is recentred when it lies this many times its own extent from the origin: single precision then has less
-/// than a part in 10⁵ of the extent left.
-const FAR: f64 = 100.0;
 
 /// Decides size, units, origin and held-out cameras.
 pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareError> {
@@ -239,7 +236,6 @@ pub(crate) fn test_cameras(footage: &Footage, request: &Request) -> Result<Vec<b
 pub(crate) fn origin(footage: &Footage) -> DVec3 {
     let centres: Vec<DVec3> =
         footage.cameras.iter().flat_map(|c| &c.poses).map(|p| p.inverse().w_axis.truncate()).collect();
-    let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let extent = centres.iter().map(|c| c.distance(middle)).fold(0.0, f64::max);
-    if middle.length() > FAR * extent { middle } else { DVec3::ZERO }
+    let rig = RigExtent::of(&centres);
+    if rig.is_far_from_zero() { rig.middle } else { DVec3::ZERO }
 }

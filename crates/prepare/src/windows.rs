@@ -229,8 +229,3 @@ fn grey(image: &ImageRgb8, size: ImageSize, factor: usize) -> Vec<f32> {
     };
     (0..size.pixels()).map(|i| mean(i % size.width, i / size.width)).collect()
 }
-
-/// Against gravity, as far as the cameras stand upright.
-pub(crate) fn up(cameras: &[Camera]) -> DVec3 {
-    cameras.iter().map(|camera| -(camera.rotation().row(1))).sum::<DVec3>().normalize_or(DVec3::Y)
-}

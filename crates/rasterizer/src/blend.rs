@@ -171,6 +171,113 @@ fn attenuate<S: Simd>(
     (simd.select_f32s(counts, next, closed), simd.select_f32s(counts, weight, simd.splat_f32s(0.0)), counts)
 }
 
+/// A splat seen from a tile.
+struct Placed<'a, S: Simd> {
+    splat: &'a Splat,
+    /// Centre of the tile's first pixel minus the splat's (px).
+    x: f32,
+    y: f32,
+    rows: RowRange,
+    /// Half of the conic's first entry.
+    half_a: f32,
+    half_a_: S::f32s,
+    opacity: S::f32s,
+}
+
+impl<'a, S: Simd> Placed<'a, S> {
+    #[inline(always)]
+    fn new(simd: S, splat: &'a Splat, [x, y]: [f32; 2], rows: RowRange) -> Self {
+        let half_a = 0.5 * splat.conic[0];
+        let (half_a_, opacity) = (simd.splat_f32s(half_a), simd.splat_f32s(splat.opacity));
+        Self { splat, x, y, rows, half_a, half_a_, opacity }
+    }
+}
+
+/// A row of a splat.
+struct SplatRow<S: Simd> {
+    /// As [`Contribution::dy`].
+    dy: S::f32s,
+    /// Where the ridge is, relative to the splat's centre (px).
+    shift: S::f32s,
+    /// The exponent on the ridge.
+    least: S::f32s,
+}
+
+impl<S: Simd> SplatRow<S> {
+    /// The square completed, sigma = a (dx - slope dy)^2 / 2 + the least of this row: nothing cancels on needles.
+    #[inline(always)]
+    fn new(simd: S, placed: &Placed<S>, dy: f32) -> Self {
+        let least = simd.splat_f32s(placed.half_a * placed.splat.shrink * dy * dy);
+        Self { dy: simd.splat_f32s(dy), shift: simd.splat_f32s(placed.rows.slope * dy), least }
+    }
+}
+
+/// The pixels of a tile during a walk.
+struct Pixels<'a, S: Simd> {
+    columns: &'a [S::f32s],
+    /// Transmittance, negative where finished.
+    state: &'a mut [S::f32s],
+    /// Transmittance up to which a pixel is finished.
+    least_open: S::f32s,
+}
+
+impl<S: Simd> Pixels<'_, S> {
+    const VECTORS: usize = TILE / S::F32_LANES;
+
+    /// A splat in the given rows, a bit per row.
+    #[inline(always)]
+    fn blend<V: Visitor<S>>(&mut self, simd: S, placed: &Placed<S>, mut rows: u32, visitor: &mut V) {
+        while rows != 0 {
+            let row = rows.trailing_zeros() as usize;
+            rows &= rows - 1;
+            self.blend_row(simd, placed, row, visitor);
+        }
+    }
+
+    #[inline(always)]
+    fn blend_row<V: Visitor<S>>(&mut self, simd: S, placed: &Placed<S>, row: usize, visitor: &mut V) {
+        let dy = placed.y + row as f32;
+        // A vector that is a whole row is cheaper to try than to rule out.
+        let (low, high) =
+            if Self::VECTORS == 1 { (f32::NEG_INFINITY, f32::INFINITY) } else { placed.rows.columns(dy) };
+        let of_row = SplatRow::new(simd, placed, dy);
+        for part in 0..Self::VECTORS {
+            let left = placed.x + (part * S::F32_LANES) as f32;
+            if high < left || low > left + (S::F32_LANES - 1) as f32 {
+                continue;
+            }
+            self.blend_vector(simd, placed, &of_row, [row, part], visitor);
+        }
+    }
+
+    /// A splat in a vector: a part of a row.
+    #[inline(always)]
+    fn blend_vector<V: Visitor<S>>(
+        &mut self,
+        simd: S,
+        placed: &Placed<S>,
+        &SplatRow { dy, shift, least }: &SplatRow<S>,
+        [row, part]: [usize; 2],
+        visitor: &mut V,
+    ) {
+        let vector = row * Self::VECTORS + part;
+        let transmittance = self.state[vector];
+        let dx = simd.add_f32s(self.columns[part], simd.splat_f32s(placed.x));
+        let from_ridge = simd.sub_f32s(dx, shift);
+        let (falloff, alpha, shows) = evaluate(simd, from_ridge, least, placed.half_a_, placed.opacity);
+        let shows = simd.and_m32s(shows, simd.greater_than_f32s(transmittance, simd.splat_f32s(0.0)));
+        if Self::VECTORS > 1 && !any(simd, shows) {
+            return;
+        }
+        let (next, weight, counts) = attenuate(simd, transmittance, alpha, shows, self.least_open);
+        self.state[vector] = next;
+        visitor.visit(
+            simd,
+            &Contribution { vector, from_ridge, dy, falloff, alpha, transmittance, weight, counts },
+        );
+    }
+}
+
 /// Walks `slots` front to back over the tile whose first pixel is `origin`, up to the transmittance `finished`. `transmittance` starts as given (1) and
 /// ends as the final value with its sign flipped where the pixel finished early; callers take the absolute value.
 #[inline(always)]
@@ -183,16 +290,14 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
     transmittance: &mut TilePlane,
     visitor: &mut V,
 ) {
-    let lanes = S::F32_LANES;
-    let vectors = TILE / lanes;
     let (columns, _) = S::as_simd_f32s(&COLUMNS);
     let (state, _) = S::as_mut_simd_f32s(&mut transmittance.0);
-    let (zero, least_open) = (simd.splat_f32s(0.0), simd.splat_f32s(finished));
-    let mut open_rows = OpenRows::new(simd, state);
+    let mut pixels = Pixels { columns, state, least_open: simd.splat_f32s(finished) };
+    let mut open_rows = OpenRows::new(simd, pixels.state);
     let mut batch = [Splat::default(); BATCH];
     for entry in 0..slots.len() {
         if entry % BATCH == 0 {
-            open_rows = OpenRows::new(simd, state);
+            open_rows = OpenRows::new(simd, pixels.state);
             if open_rows.0 == 0 {
                 break;
             }
@@ -202,55 +307,14 @@ pub(crate) fn walk<S: Simd, V: Visitor<S>>(
             }
         }
         let splat = &batch[entry % BATCH];
-        let x = origin[0] as f32 + 0.5 - splat.mean[0];
-        let y = origin[1] as f32 + 0.5 - splat.mean[1];
-        let rows = RowRange::new(splat, y);
-        let mut left_rows = rows.rows & open_rows.0;
-        if left_rows == 0 {
+        let [x, y] = [0, 1].map(|axis| origin[axis] as f32 + 0.5 - splat.mean[axis]);
+        let range = RowRange::new(splat, y);
+        let rows = range.rows & open_rows.0;
+        if rows == 0 {
             continue;
         }
-        let half_a = 0.5 * splat.conic[0];
-        let (half_a_, opacity) = (simd.splat_f32s(half_a), simd.splat_f32s(splat.opacity));
         visitor.begin(simd, splat);
-        while left_rows != 0 {
-            let row = left_rows.trailing_zeros() as usize;
-            left_rows &= left_rows - 1;
-            let dy = y + row as f32;
-            // A vector that is a whole row is cheaper to try than to rule out.
-            let (low, high) =
-                if vectors == 1 { (f32::NEG_INFINITY, f32::INFINITY) } else { rows.columns(dy) };
-            // The square completed, sigma = a (dx - slope dy)^2 / 2 + the least of this row: nothing cancels on needles.
-            let least = simd.splat_f32s(half_a * splat.shrink * dy * dy);
-            let (shift, dy_) = (simd.splat_f32s(rows.slope * dy), simd.splat_f32s(dy));
-            for part in 0..vectors {
-                let left = x + (part * lanes) as f32;
-                if high < left || low > left + (lanes - 1) as f32 {
-                    continue;
-                }
-                let vector = row * vectors + part;
-                let t = state[vector];
-                let dx = simd.add_f32s(columns[part], simd.splat_f32s(x));
-                let from_ridge = simd.sub_f32s(dx, shift);
-                let (falloff, alpha, shows) = evaluate(simd, from_ridge, least, half_a_, opacity);
-                let shows = simd.and_m32s(shows, simd.greater_than_f32s(t, zero));
-                if vectors > 1 && !any(simd, shows) {
-                    continue;
-                }
-                let (next, weight, counts) = attenuate(simd, t, alpha, shows, least_open);
-                state[vector] = next;
-                let contribution = Contribution {
-                    vector,
-                    from_ridge,
-                    dy: dy_,
-                    falloff,
-                    alpha,
-                    transmittance: t,
-                    weight,
-                    counts,
-                };
-                visitor.visit(simd, &contribution);
-            }
-        }
+        pixels.blend(simd, &Placed::new(simd, splat, [x, y], range), rows, visitor);
         visitor.end(simd, slots[entry].place());
     }
 }

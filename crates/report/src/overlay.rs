@@ -63,7 +63,8 @@ pub fn motion_picture(
 }
 
 /// Position uncertainty, sqrt(tr Sigma), of each Gaussian (covariances in m^2) as dots in viridis over the dimmed
-/// `background`, logarithmic. The bar spans the 2 % to the 98 % quantile; its end values are written beside it (cm).
+/// `background`, logarithmic. The bar spans the 2 % to the 98 % quantile; its end values are written beside it, in the
+/// unit of the means: a capture need not say which one that is.
 ///
 /// # Errors
 /// When the columns differ in length, or background and camera in size.
@@ -77,8 +78,7 @@ pub fn uncertainty_picture(
     let seen = |(mean, covariance): (&DVec3, &DMat3)| {
         let projection = camera.project(*mean)?;
         let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
-        (trace > 0.0 && trace.is_finite())
-            .then(|| (projection.depth, projection.pixel, (100.0 * trace.sqrt()).log10()))
+        (trace > 0.0 && trace.is_finite()).then(|| (projection.depth, projection.pixel, trace.sqrt().log10()))
     };
     let dots: Vec<(f64, DVec2, f64)> = means.iter().zip(covariances).filter_map(seen).collect();
     let limits = BAR_QUANTILES.map(|q| quantile(dots.iter().map(|d| d.2), q).unwrap_or(0.0));
@@ -183,7 +183,7 @@ impl Canvas {
         (self.legend_size() / 22.0).round().max(1.0)
     }
 
-    /// A vertical bar over `[low, high]` (log10 of cm): its ends labelled in cm.
+    /// A vertical bar over `[low, high]` (log10), with the values at its ends.
     fn bar(&mut self, [low, high]: [f64; 2]) {
         let height = 2.5 * self.legend_size();
         let scale = self.text_scale();
@@ -195,7 +195,7 @@ impl Canvas {
             self.rectangle([left, top + row as f64], [width, 1.0], colour);
         }
         let text_left = left + width + 4.0;
-        let [low_text, high_text] = [low, high].map(|log| format!("{} cm", short(10f64.powf(log))));
+        let [low_text, high_text] = [low, high].map(|log| two_digits(10f64.powf(log)));
         self.text([text_left, top], &high_text, scale);
         self.text([text_left, top + height - 5.0 * scale], &low_text, scale);
     }
@@ -222,6 +222,15 @@ fn short(value: f64) -> String {
     }
 }
 
+/// A positive value of any size with two significant digits, in at most seven characters.
+fn two_digits(value: f64) -> String {
+    if !(1e-4..1e6).contains(&value) {
+        return format!("{value:.0e}");
+    }
+    let decimals = (1.0 - value.log10().floor()).max(0.0) as usize;
+    format!("{value:.decimals$}")
+}
+
 /// Five rows of three pixels.
 fn glyph(character: char) -> [u8; 5] {
     match character {
@@ -236,10 +245,22 @@ fn glyph(character: char) -> [u8; 5] {
         '8' => [7, 5, 7, 5, 7],
         '9' => [7, 5, 7, 1, 7],
         '.' => [0, 0, 0, 0, 2],
-        'c' => [0, 7, 4, 4, 7],
-        'm' => [0, 7, 7, 5, 5],
+        '-' => [0, 0, 7, 0, 0],
+        'e' => [7, 5, 7, 4, 7],
         'p' => [0, 7, 5, 7, 4],
         'x' => [0, 5, 2, 2, 5],
         _ => [0; 5],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_of_every_unit_have_two_digits() {
+        let written = [4.2e-6, 4.2e-4, 0.042, 0.42, 4.24, 42.4, 4200.0, 4.2e7].map(two_digits);
+        assert_eq!(written, ["4e-6", "0.00042", "0.042", "0.42", "4.2", "42", "4200", "4e7"]);
+        assert!(written.iter().flat_map(|text| text.chars()).all(|c| glyph(c) != [0; 5]), "all can be drawn");
     }
 }

@@ -29,6 +29,9 @@ pub struct MovingBackground {
 pub fn moving_backgrounds(store: &TrackStore, capture: &dyn Capture) -> Vec<MovingBackground> {
     let views = capture.views(Split::Train);
     let judge = |view: usize| {
+        if !capture.is_fixed(Split::Train, view).unwrap_or(false) {
+            return None;
+        }
         let mut lengths: Vec<f32> = steps(capture.frames())
             .into_iter()
             .flat_map(|frame| background_lengths(store, capture, view, frame))
@@ -48,17 +51,12 @@ fn steps(frames: usize) -> Vec<usize> {
     (0..count).map(|i| 1 + i * (frames - 1) / count).collect()
 }
 
-/// Lengths of the tracks of all sparse and medium trackers that start outside the mask; none where the camera moves.
+/// Lengths of the tracks of all sparse and medium trackers that start outside the mask.
 fn background_lengths(store: &TrackStore, capture: &dyn Capture, view: usize, frame: usize) -> Vec<f32> {
     let at = |frame| ViewAt { split: Split::Train, view, frame };
-    let (Ok(before), Ok(now)) = (capture.camera(at(frame - 1)), capture.camera(at(frame))) else {
-        return Vec::new();
-    };
-    if before.camera_from_world() != now.camera_from_world() || before.intrinsics() != now.intrinsics() {
-        return Vec::new();
-    }
+    let Ok(camera) = capture.camera(at(frame)) else { return Vec::new() };
     let mask = capture.mask(at(frame - 1)).ok().flatten().map(|m| m.widened(AROUND));
-    let size = before.size();
+    let size = camera.size();
     let is_background = |p: [f32; 2]| {
         let inside = p[0] >= 0.0 && p[1] >= 0.0 && p[0] < size.width as f32 && p[1] < size.height as f32;
         inside && mask.as_ref().is_none_or(|m| !m.contains(p[0] as usize, p[1] as usize))

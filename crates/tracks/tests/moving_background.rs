@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 
 const SIZE: ImageSize = ImageSize { width: 100, height: 60 };
 
-/// Two cameras, two frames; the left 60 columns are foreground.
+/// Two cameras, three frames; the left 60 columns are foreground.
 #[derive(Debug)]
 struct Filmed {
     root: PathBuf,
     names: Vec<String>,
-    /// How far (m) the cameras move from frame 0 to 1.
-    travel: f64,
+    /// Where (m) the cameras are in each frame.
+    places: [f64; 3],
 }
 
 impl Capture for Filmed {
@@ -25,7 +25,7 @@ impl Capture for Filmed {
     }
 
     fn frames(&self) -> usize {
-        2
+        3
     }
 
     fn views(&self, split: Split) -> &[String] {
@@ -33,7 +33,7 @@ impl Capture for Filmed {
     }
 
     fn camera(&self, at: ViewAt) -> Result<Camera, Fault> {
-        let pose = DMat4::from_translation(DVec3::X * self.travel * at.frame as f64);
+        let pose = DMat4::from_translation(DVec3::X * self.places[at.frame]);
         Ok(Camera::new(Intrinsics { fx: 80.0, fy: 80.0, cx: 50.0, cy: 30.0 }, pose, SIZE).unwrap())
     }
 
@@ -51,8 +51,8 @@ impl Capture for Filmed {
     }
 }
 
-/// Cameras whose background is told, when the foreground moves by 9 px and the background of camera b by `background`.
-fn told(background: f32, travel: f64) -> Vec<(String, f32)> {
+/// Cameras whose background is told, when the foreground moves by 9 px and the background of camera b by `background`, both in frame 1.
+fn told(background: f32, places: [f64; 3]) -> Vec<(String, f32)> {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().to_owned();
     let list = r#"{"trackers": [{"name": "x", "level": "medium", "format": "npz", "pattern": "x/{camera}/{frame}.npz"}]}"#;
@@ -68,15 +68,16 @@ fn told(background: f32, travel: f64) -> Vec<(String, f32)> {
     }
     fs::write(root.join("tracks/tracks.json"), list).unwrap();
     let store = TrackStore::open(&root).unwrap().unwrap();
-    let capture = Filmed { root, names: vec!["a".into(), "b".into()], travel };
+    let capture = Filmed { root, names: vec!["a".into(), "b".into()], places };
     moving_backgrounds(&store, &capture).into_iter().map(|m| (m.camera, m.pixels)).collect()
 }
 
 #[test]
 fn only_a_fixed_camera_whose_background_moves_is_told() {
-    assert_eq!(told(0.6, 0.0), []);
-    let found = told(4.0, 0.0);
+    assert_eq!(told(0.6, [0.0; 3]), []);
+    let found = told(4.0, [0.0; 3]);
     assert!(found.len() == 1 && found[0].0 == "b" && (found[0].1 - 4.0).abs() < 1e-3, "{found:?}");
     // A camera that says that it moves may.
-    assert_eq!(told(4.0, 0.1), []);
+    assert_eq!(told(4.0, [0.0, 0.1, 0.2]), []);
+    assert_eq!(told(4.0, [0.0, 0.0, 0.1]), [], "also where it rests at first");
 }

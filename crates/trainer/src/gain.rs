@@ -152,31 +152,38 @@ impl Errors {
         if count == 0 {
             return None;
         }
-        let squares: f64 = (0..3).map(|c| self.products(self.planes.plane(c), region, 0).0).sum();
+        let squares: f64 = (0..3).map(|c| self.products(self.planes.plane(c), region, [0, 0]).0).sum();
         let sizes = |c: usize| self.pixels(region).map(move |p| f64::from(self.planes.plane(c)[p].abs()));
         let absolute: f64 = (0..3).map(|c| sizes(c).sum::<f64>()).sum();
         let mut grey = vec![0.0; self.regions.len()];
         self.pixels(region).for_each(|p| grey[p] = self.planes.pixel(p).iter().sum());
-        let own = self.products(&grey, region, 0);
+        let own = self.products(&grey, region, [0, 0]);
         let channels = own.0 / squares.max(f64::MIN_POSITIVE);
-        let along = |stride: usize| 1.0 + 2.0 * self.correlations(&grey, region, stride, own);
-        let correlated = (channels * along(1) * along(self.size.width)).max(1.0);
+        let along = |step: [usize; 2]| 1.0 + 2.0 * self.correlations(&grey, region, step, own);
+        let correlated = (channels * along([1, 0]) * along([0, 1])).max(1.0);
         // Few pixels that the model cannot show must not hide what all others tell: the mean absolute error, not the square.
         let sigma = (SIGMA_OF_ABSOLUTE * absolute / (3 * count) as f64).max(MIN_NOISE);
         Some(PixelNoise { sigma, correlated })
     }
 
-    /// Sum of the correlations with pixels one, two, ... strides away, until they are small. `own` are the products without a distance.
-    fn correlations(&self, values: &[f32], region: u8, stride: usize, own: (f64, usize)) -> f64 {
+    /// Sum of the correlations with pixels one, two, ... steps (columns, rows) away, until they are small. `own` are the products without
+    /// a distance.
+    fn correlations(&self, values: &[f32], region: u8, step: [usize; 2], own: (f64, usize)) -> f64 {
         let mean = |(sum, count): (f64, usize)| sum / count.max(1) as f64;
-        let of =
-            |lag: usize| mean(self.products(values, region, lag * stride)) / mean(own).max(f64::MIN_POSITIVE);
+        let of = |lag: usize| {
+            mean(self.products(values, region, step.map(|s| lag * s))) / mean(own).max(f64::MIN_POSITIVE)
+        };
         (1..=MAX_LAG).map(of).take_while(|&r| r > MIN_CORRELATION).sum()
     }
 
-    /// Sum over the pixels of a region of products with the value so many places on, and their number.
-    fn products(&self, values: &[f32], region: u8, distance: usize) -> (f64, usize) {
-        let pairs = self.pixels(region).filter(|&p| self.regions.get(p + distance) == Some(&region));
+    /// Sum over the pixels of a region of products with the value so many columns and rows on, and their number. The end of a row and
+    /// the start of the next one follow each other in memory but not in the picture: they are no pair.
+    fn products(&self, values: &[f32], region: u8, [columns, rows]: [usize; 2]) -> (f64, usize) {
+        let width = self.size.width;
+        let distance = columns + rows * width;
+        let in_row = |p: usize| columns == 0 || p % width + columns < width;
+        let pairs =
+            self.pixels(region).filter(|&p| in_row(p) && self.regions.get(p + distance) == Some(&region));
         pairs.fold((0.0, 0), |(sum, count), p| {
             (sum + f64::from(values[p]) * f64::from(values[p + distance]), count + 1)
         })
@@ -210,10 +217,14 @@ mod tests {
         std::iter::once(0..SIZE.pixels()).collect()
     }
 
-    fn noise(view: &TrainingView) -> PixelNoise {
+    fn flat() -> PlanarImage {
         let mut flat = PlanarImage::zeros(SIZE);
         flat.data_mut().fill(128.0 / 255.0);
-        Errors::new(view, &flat, everywhere()).noise(0).unwrap()
+        flat
+    }
+
+    fn noise(view: &TrainingView) -> PixelNoise {
+        Errors::new(view, &flat(), everywhere()).noise(0).unwrap()
     }
 
     #[test]
@@ -229,11 +240,28 @@ mod tests {
     }
 
     #[test]
+    fn the_end_of_a_row_and_the_start_of_the_next_are_no_pair() {
+        // Errors in the first and the last column only; the last of a row equals the first of the next.
+        let error = |p: usize| match p % 96 {
+            0 => white(p),
+            95 => white(p + 1),
+            _ => 0,
+        };
+        let along_rows = |shift: usize| {
+            let errors = Errors::new(&view(|p, _| error(p + shift)), &flat(), everywhere());
+            let values = errors.planes.plane(0);
+            errors.correlations(values, 0, [1, 0], errors.products(values, 0, [0, 0]))
+        };
+        assert_eq!(along_rows(0), 0.0);
+        // The same values one pixel on: now those that are equal are neighbours in a row.
+        assert!((along_rows(95) - 0.5).abs() < 0.02, "the test could tell: {}", along_rows(95));
+    }
+
+    #[test]
     fn what_was_not_rendered_counts_for_nothing() {
         // Left of column 48 noise, right of it a photograph that has nothing to do with what the tape holds.
         let view = view(|p, c| if p % 96 < 48 { white(3 * p + c) } else { 120 });
-        let mut flat = PlanarImage::zeros(SIZE);
-        flat.data_mut().fill(128.0 / 255.0);
+        let flat = flat();
         let left: Vec<Range<usize>> = (0..SIZE.height).map(|y| y * 96..y * 96 + 48).collect();
         let errors = Errors::new(&view, &flat, left);
         let noise = errors.noise(0).unwrap();

@@ -18,7 +18,9 @@ const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 pub const INITIAL_OPACITY: f32 = 0.5;
 /// Scales outside these quantiles are clamped to them: duplicates would give needles, outliers would cover the view.
 const QUANTILES: [f64; 2] = [0.001, 0.99];
-/// Standard deviation (m) where points give no distance: a single point, or all at one place.
+/// Standard deviation where points give no distance: a single point, or all at one place. It is the one length here that is not relative to
+/// the scene, of which such points tell nothing: a centimetre where the unit is the metre. No capture starts from such points; a birth or a
+/// continued surface of a single point does, and is trained from there.
 const LONE_SCALE: f32 = 0.01;
 
 /// One disc a point: tangent to the surface that its neighbours span, with the neighbours' spacing as standard

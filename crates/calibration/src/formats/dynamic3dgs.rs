@@ -2,6 +2,7 @@
 
 use super::left_out::{complete_masks, file_or_name, usable_points};
 use super::{Format, checked, file_called, intrinsics, pose, read_text, square};
+use crate::footage::one_if_fixed;
 use crate::{CalibrationError, ColouredPoint, Distortion, Footage, Lens, Pictures, Role, SourceCamera};
 use ffgs_arrays::{ArraysError, NpzFile};
 use ffgs_core::{ImageSize, nan_to_null};
@@ -146,7 +147,7 @@ fn camera(meta: &MetaFile, home: &Path, c: usize, role: Role) -> Result<SourceCa
         poses.push(matrix(&numbers(&meta.w2c[t][here]))?);
         files.push(home.join("ims").join(&names[here]));
     }
-    let poses = if poses.iter().all(|p| *p == poses[0]) { vec![poses[0]] } else { poses };
+    let poses = one_if_fixed(poses);
     Ok(SourceCamera {
         name: name.to_owned(),
         lens,

@@ -4,6 +4,7 @@
 use super::left_out::{complete_masks, file_or_name};
 use super::point_ply::read_points;
 use super::{Format, checked, file_called, from_opengl, image_size, read_text};
+use crate::footage::one_if_fixed;
 use crate::media::{is_picture, stem};
 use crate::{CalibrationError, Distortion, Footage, Lens, Media, Pictures, Role, SourceCamera};
 use ffgs_core::{ImageSize, Intrinsics, is_present, nan_to_null};
@@ -147,7 +148,7 @@ fn source_camera(
     let Some(first) = entries.first() else { return Ok(None) };
     let lens = one_lens(all, entries, &files[0]).map_err(|reason| format!("camera '{name}': {reason}"))?;
     let poses = entries.iter().map(|e| pose(e)).collect::<Result<Vec<_>, _>>()?;
-    let poses = if poses.iter().all(|p| *p == poses[0]) { vec![poses[0]] } else { poses };
+    let poses = one_if_fixed(poses);
     let (name, role) = (name.to_owned(), role(all, &first.file_path));
     Ok(Some(SourceCamera { name, lens, poses, pictures: Pictures::Files(files), masks: None, role }))
 }

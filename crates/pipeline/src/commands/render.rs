@@ -5,9 +5,10 @@ use crate::cli::terminal::{self, progress};
 use crate::outputs::finished_run::FinishedRun;
 use crate::outputs::folder::RunFolder;
 use crate::outputs::orbit::{clear_of, orbit};
-use crate::outputs::scoring::{render as render_scene, write_png};
+use crate::outputs::scoring::render as render_scene;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, Exposure, ImageRgb8};
+use ffgs_dataset::write_image;
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_reconstruction::Devices;
 use std::path::Path;
@@ -52,7 +53,7 @@ pub(crate) fn render(args: &RenderArgs) -> Result<()> {
         let mut pictures = render_scene(&scene, &cameras, &trained, Devices(&gpus))?;
         for ((name, _, exposure), picture) in group.iter().zip(&mut pictures) {
             exposure.apply(picture);
-            write_png(&out.join(name), &ImageRgb8::from(&*picture))?;
+            write_image(&out.join(name), &ImageRgb8::from(&*picture))?;
             bar.inc(1);
         }
     }

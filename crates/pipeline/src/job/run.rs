@@ -23,9 +23,7 @@ use crate::outputs::json::{read_json, write_json};
 use crate::outputs::publish::publish;
 use crate::outputs::record::{FrameRecord, Metrics};
 use crate::outputs::scene_files::write_splats;
-use crate::outputs::scoring::{
-    ScoredView, load_tests, load_trained_on, mean_mpsnr, score, thumbnails, write_png,
-};
+use crate::outputs::scoring::{ScoredView, load_tests, load_trained_on, mean_mpsnr, score, thumbnails};
 use crate::outputs::state;
 use crate::outputs::turntable::write_turntable;
 use crate::plugins::choice::MethodChoice;
@@ -34,7 +32,7 @@ use crate::plugins::registry::open_capture;
 use crate::settings::config::Config;
 use anyhow::{Context, Result, bail};
 use ffgs_core::{Camera, Dynamic, ImageRgb8, Scene, TrainingView, stage, write_atomically};
-use ffgs_dataset::ImageCheck;
+use ffgs_dataset::{ImageCheck, write_image};
 use ffgs_method::{Capture, Step, TrackSource};
 use ffgs_rasterizer_gpu::SceneDevice;
 use ffgs_reconstruction::{Devices, Earlier, Exposures, Reconstructor, State};
@@ -403,7 +401,7 @@ impl<'a> Job<'a> {
         };
         let thumbnails = thumbnails(&*self.capture);
         let save = |name: &str, picture: &ImageRgb8| -> Result<Option<String>> {
-            write_png(&self.folder.frame(frame).join(name), picture)?;
+            write_image(&self.folder.frame(frame).join(name), picture)?;
             Ok(Some(thumbnails.encode(picture)?))
         };
         let motion = save("motion.png", &motion_picture(camera, &before, &now, image)?)?;

@@ -1,7 +1,7 @@
 //! Cameras that circle what moves.
 
 use anyhow::{Context, Result, bail};
-use ffgs_core::{Camera, Gaussians, ImageSize, Scene};
+use ffgs_core::{Camera, Gaussians, ImageSize, RigExtent, Scene, up};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DMat3, DMat4, DVec3};
 use std::f64::consts::TAU;
@@ -54,8 +54,7 @@ const CLEAR: f64 = 0.4;
 #[must_use]
 pub fn clear_of(scene: &Scene, cameras: &[Camera]) -> Scene {
     let centres: Vec<DVec3> = cameras.iter().map(Camera::center).collect();
-    let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    let radius = centres.iter().map(|c| c.distance(middle)).fold(0.0, f64::max);
+    let RigExtent { radius, .. } = RigExtent::of(&centres);
     let layer = &scene.static_layer;
     let is_clear = |i: usize| {
         let place = DVec3::from(layer.means[i].map(f64::from));
@@ -124,7 +123,7 @@ fn one_object(points: &[DVec3], mut near: Vec<DVec3>) -> Object {
 /// Poses (camera from world) that look at the object's middle.
 fn circle(cameras: &[Camera], object: &Object, views: usize) -> Vec<DMat4> {
     let target = object.middle;
-    let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
+    let up = up(cameras);
     // Distance at which a length fills half of a side of the picture, in such lengths.
     let zoom = |side: fn(ImageSize) -> usize| {
         cameras.first().map_or(1.0, |c| 2.0 * c.intrinsics().focal() / side(c.size()) as f64)

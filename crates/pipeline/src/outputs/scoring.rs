@@ -4,7 +4,8 @@ use crate::job::frame::{load_views, test_views, training_views};
 use crate::job::provenance::Checksum;
 use crate::outputs::record::ViewMetrics;
 use anyhow::{Context, Result};
-use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView, write_atomically};
+use ffgs_core::{Camera, Exposure, ImageRgb8, PlanarImage, Scene, TrainingView};
+use ffgs_dataset::write_image;
 use ffgs_method::{Capture, Split, ViewAt};
 use ffgs_metrics::{SsimMap, mpsnr, psnr};
 use ffgs_reconstruction::{Devices, Exposures, unveiled};
@@ -26,33 +27,6 @@ pub(crate) fn render(
         }
     }
     Ok(pictures)
-}
-
-/// Writes a PNG through a temporary file.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn write_png(path: &Path, picture: &ImageRgb8) -> Result<()> {
-    let size = picture.size();
-    write_atomically(path, |out| {
-        let encoder = image::codecs::png::PngEncoder::new(out);
-        let (width, height) = (size.width as u32, size.height as u32);
-        image::ImageEncoder::write_image(
-            encoder,
-            picture.data(),
-            width,
-            height,
-            image::ExtendedColorType::Rgb8,
-        )
-        .map_err(anyhow::Error::from)
-    })
-    .with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// Whether a camera keeps its pose over the capture.
-fn is_fixed(capture: &dyn Capture, ViewAt { split, view, .. }: ViewAt) -> bool {
-    let camera = |frame| capture.camera(ViewAt { split, view, frame }).ok();
-    (1..capture.frames_of(split)).all(|frame| camera(frame) == camera(0))
 }
 
 /// A view as it was photographed, and the exposure in which it is to be rendered.
@@ -165,12 +139,12 @@ pub(crate) fn score(
         let name = &capture.views(at.split)[at.view];
         let picture = ImageRgb8::from(&rendered);
         if at.split == Split::Test {
-            write_png(&folder.join(format!("test/{name}.png")), &picture)?;
+            write_image(&folder.join(format!("test/{name}.png")), &picture)?;
         }
         let ssim = SsimMap::new(&rendered, &truth.image)?;
         let metrics = ViewMetrics {
             camera: name.clone(),
-            fixed: is_fixed(capture, *at),
+            fixed: capture.is_fixed(at.split, at.view).unwrap_or(false),
             psnr: psnr(&rendered, &truth.image)?,
             mpsnr: mpsnr(&rendered, &truth.image, &truth.mask)?,
             ssim: ssim.mean(),

@@ -3,9 +3,9 @@
 use super::sheet_path;
 use crate::PrepareError;
 use crate::extraction::file_name;
-use crate::pictures::{read_mask, write_rgb};
+use crate::pictures::read_mask;
 use ffgs_core::{ImageRgb8, ImageSize, Mask};
-use ffgs_dataset::{Capture, Split};
+use ffgs_dataset::{Capture, Split, write_image};
 use std::path::Path;
 
 /// Frames of a camera, one beside the other.
@@ -29,7 +29,7 @@ pub(crate) fn write(capture: &Capture, seg: &Path) -> Result<(), PrepareError> {
         }
         rows.push(row);
     }
-    write_rgb(&sheet_path(capture.root()), &joined(&rows))
+    Ok(write_image(&sheet_path(capture.root()), &joined(&rows))?)
 }
 
 fn small(image: &ImageRgb8, mask: &Mask) -> ImageRgb8 {

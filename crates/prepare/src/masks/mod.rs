@@ -17,7 +17,7 @@ use crate::beside::Beside;
 use crate::extraction::file_name;
 use crate::pictures::read_mask;
 use crate::{PrepareError, Progress};
-use ffgs_core::counted;
+use ffgs_core::{counted, is_fixed};
 use ffgs_dataset::{Capture, Split};
 use rounds::Rounds;
 use std::fs;
@@ -104,11 +104,7 @@ fn views(capture: &Capture) -> Result<Vec<View>, PrepareError> {
     let mut out = Vec::new();
     for split in [Split::Train, Split::Test] {
         for (index, view) in capture.views(split).iter().enumerate() {
-            let first = capture.camera(split, index, 0)?;
-            let mut fixed = true;
-            for frame in 1..capture.frames() {
-                fixed &= capture.camera(split, index, frame)? == first;
-            }
+            let fixed = is_fixed((0..capture.frames()).map(|frame| capture.camera(split, index, frame)))?;
             out.push(View { split, index, name: view.name.clone(), fixed });
         }
     }

@@ -7,9 +7,9 @@ use super::learnt::{Before, Learnt, learn};
 use crate::PrepareError;
 use crate::beside::Beside;
 use crate::extraction::file_name;
-use crate::pictures::{read_mask, write_mask};
+use crate::pictures::read_mask;
 use ffgs_core::Mask;
-use ffgs_dataset::Capture;
+use ffgs_dataset::{Capture, write_mask};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -96,7 +96,7 @@ impl Rounds<'_> {
 
     fn write(&self, frame: usize, masks: &[Mask]) -> Result<(), PrepareError> {
         let one = |(view, mask)| write_mask(&self.file(view, frame), mask);
-        self.views.par_iter().zip(masks).try_for_each(one)
+        Ok(self.views.par_iter().zip(masks).try_for_each(one)?)
     }
 
     fn file(&self, view: &View, frame: usize) -> PathBuf {

@@ -2,9 +2,9 @@
 
 use crate::job::frame::load_view;
 use crate::outputs::camera_pictures::Believed;
-use crate::outputs::scoring::write_png;
 use crate::plugins::registry::open_capture;
 use anyhow::{Context, Result};
+use ffgs_dataset::write_image;
 use ffgs_method::{Split, ViewAt};
 use rayon::prelude::*;
 use std::path::Path;
@@ -24,7 +24,7 @@ pub(crate) fn write(root: &Path, folder: &Path) -> Result<usize> {
     let one = |view: usize| -> Result<()> {
         let at = ViewAt { split: Split::Train, view, frame: 0 };
         let picture = believed.draw(at, &load_view(&*capture, at)?, WIDTH);
-        write_png(&folder.join(format!("{}.png", views[view])), &picture)
+        Ok(write_image(&folder.join(format!("{}.png", views[view])), &picture)?)
     };
     (0..views.len()).into_par_iter().try_for_each(one)?;
     Ok(views.len())

@@ -3,7 +3,7 @@
 use crate::job::request::FrameRange;
 use crate::outputs::finished_run::FinishedRun;
 use anyhow::{Result, ensure};
-use ffgs_core::counted;
+use ffgs_core::{counted, up};
 use ffgs_method::{Capture, Split, ViewAt};
 use glam::{DVec3, Vec3};
 
@@ -32,7 +32,7 @@ fn inside(frames: &[usize], range: Option<FrameRange>) -> Vec<usize> {
 /// How a capture stands in the world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Axes {
-    /// The mean of the cameras' up directions.
+    /// Against gravity, as far as the cameras tell.
     pub up: Vec3,
     /// Where the first training camera looks, at right angles to `up`.
     pub forward: Vec3,
@@ -45,7 +45,7 @@ impl Axes {
         let cameras = (0..views)
             .map(|view| capture.camera(ViewAt { split: Split::Train, view, frame }))
             .collect::<Result<Vec<_>, _>>()?;
-        let up = cameras.iter().map(|c| -c.rotation().row(1)).sum::<DVec3>().normalize_or(DVec3::Z);
+        let up = up(&cameras);
         let ahead = cameras.first().map_or(DVec3::X, |c| c.rotation().row(2));
         let forward = ahead.reject_from_normalized(up).normalize_or(up.any_orthonormal_vector());
         Ok(Self { up: up.as_vec3(), forward: forward.as_vec3() })
