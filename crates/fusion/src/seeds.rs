@@ -7,10 +7,11 @@
 
 use crate::validation::{Slack, validate};
 use crate::view_counts::ViewCounts;
-use ffgs_core::{Camera, ImageRgb8, Mask};
+use ffgs_core::{Camera, ImageRgb8, Mask, median};
 use glam::{DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// What a view says of the places for new Gaussians.
 #[derive(Clone, Debug)]
@@ -51,7 +52,7 @@ const APART: f64 = 10.0;
 /// Pixels of a patch, from its centre.
 const PATCH: [(isize, isize); 5] = [(0, 0), (-2, 0), (2, 0), (0, -2), (0, 2)];
 
-/// Places for about `most` Gaussians, a pixel of a grid each.
+/// Places for at most about `most` Gaussians: those that pixels of a grid in each view show, one for each cell of space.
 pub fn seeds(views: &[SeedView], slack: Slack, most: usize) -> Vec<Seed> {
     let pixels: usize = views.iter().map(|view| view.unexplained.count()).sum();
     let stride = ((pixels as f64 / most.max(1) as f64).sqrt().ceil() as usize).max(1);
@@ -63,11 +64,29 @@ pub fn seeds(views: &[SeedView], slack: Slack, most: usize) -> Vec<Seed> {
             x % stride == 0 && y % stride == 0 && views[v].unexplained.contains(x, y)
         };
         let pixels: Vec<usize> = (0..size.pixels()).filter(open).collect();
-        let found: Vec<Option<Seed>> =
+        let found: Vec<Option<Found>> =
             pixels.par_iter().map(|&p| seed(views, v, p, farthest, slack)).collect();
         found.into_iter().flatten().collect::<Vec<_>>()
     };
-    (0..views.len()).flat_map(of_view).collect()
+    one_per_cell((0..views.len()).flat_map(of_view).collect(), stride as f64)
+}
+
+/// A place with how well views agree on it, and the size of a pixel there (m).
+struct Found {
+    seed: Seed,
+    score: f32,
+    pixel: f64,
+}
+
+/// Of the places in a cell the one that views agree on best: each surface is seen by several views, and needs no more than one Gaussian for
+/// each pixel of one of them. The cells are so many pixels large, of the median size.
+fn one_per_cell(mut found: Vec<Found>, pixels: f64) -> Vec<Seed> {
+    let Some(pixel) = median(found.iter().map(|found| found.pixel)) else { return Vec::new() };
+    found.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let cell = |seed: &Seed| (seed.position / (pixels * pixel)).floor().as_i64vec3();
+    let mut taken = HashSet::new();
+    let first = found.iter().filter(|found| taken.insert(cell(&found.seed)));
+    first.map(|found| found.seed).collect()
 }
 
 /// Distance (m) up to which rays are searched that meet nothing: that of the farthest thing behind any foreground, or many
@@ -80,7 +99,7 @@ fn farthest(views: &[SeedView]) -> f64 {
 }
 
 /// The place that pixel `p` of view `v` shows.
-fn seed(views: &[SeedView], v: usize, p: usize, farthest: f64, slack: Slack) -> Option<Seed> {
+fn seed(views: &[SeedView], v: usize, p: usize, farthest: f64, slack: Slack) -> Option<Found> {
     let view = &views[v];
     let width = view.camera.size().width;
     let (x, y) = (p % width, p / width);
@@ -95,7 +114,9 @@ fn seed(views: &[SeedView], v: usize, p: usize, farthest: f64, slack: Slack) -> 
     };
     let judged = (0..DEPTHS).filter_map(|k| Some((agreement(views, v, place(k), &own, slack)?, k)));
     let (score, best) = judged.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
-    (score > 0.0).then(|| Seed { position: place(best), colour: view.image.pixel(p) })
+    let seed = Seed { position: place(best), colour: view.image.pixel(p) };
+    let pixel = (seed.position - view.camera.center()).dot(axis) / view.camera.intrinsics().focal();
+    (score > 0.0).then_some(Found { seed, score, pixel })
 }
 
 /// How well the other views that lack an explanation at `place` agree with the patch `own` of view `v`; `None` when the
@@ -216,6 +237,12 @@ mod tests {
         let colour = |p: DVec3| [p.x, p.y, p.z].map(|v| 0.5 + 0.4 * (9.0 * v).sin());
         let right = |seed: &&Seed| (colour(seed.position)[2] - f64::from(seed.colour[2])).abs() < 0.2;
         assert!(seeds.iter().filter(right).count() * 10 > seeds.len() * 9);
+    }
+
+    #[test]
+    fn a_surface_that_more_views_show_gets_no_more_seeds() {
+        let [few, many] = [3, 9].map(|count| found(&arc(count, 1.2), 6.0, |_| true).len());
+        assert!(few > 800 && many * 2 < few * 3, "{few} seeds of three views, {many} of nine");
     }
 
     #[test]

@@ -4,11 +4,11 @@ use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
+use ffgs_core::{Gaussians, Mask, PlanarImage, Scene, StageLog, TrainingView, sigmoid, stage};
 use ffgs_fusion::{Seed, SeedView, seeds};
 use ffgs_motion::join;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
-use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, from_points, unexplained};
+use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, from_points, standing_still, unexplained};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -67,7 +67,8 @@ fn add_newborn(
     if config.birth.iterations == 0 || most == 0 {
         return Ok(0);
     }
-    let open = all_unexplained(&scene.dynamic.gaussians, views);
+    let behind = all_standing(scene, views);
+    let open = all_unexplained(&scene.dynamic.gaussians, &behind, views);
     let found = find_seeds(config, scene, views, &open, most);
     if found.len() < LEAST_SEEDS {
         return Ok(0);
@@ -76,14 +77,18 @@ fn add_newborn(
     let Some(born) = devices.newborn(&config.birth, newborn, scene, seed, report)? else { return Ok(0) };
     let mut together = scene.dynamic.gaussians.clone();
     together.extend(&born);
-    let still_open = all_unexplained(&together, views);
+    let still_open = all_unexplained(&together, &behind, views);
     let kept = explaining(&born, config.densification.min_opacity, views, (&open, &still_open));
     join(&mut scene.dynamic, &born.select(&kept), views);
     Ok(kept.len())
 }
 
-fn all_unexplained(layer: &Gaussians, views: &[TrainingView]) -> Vec<Mask> {
-    views.par_iter().map(|view| unexplained(layer, view)).collect()
+fn all_standing(scene: &Scene, views: &[TrainingView]) -> Vec<PlanarImage> {
+    views.par_iter().map(|view| standing_still(&scene.static_layer, &scene.sky, view)).collect()
+}
+
+fn all_unexplained(layer: &Gaussians, behind: &[PlanarImage], views: &[TrainingView]) -> Vec<Mask> {
+    views.par_iter().zip(behind).map(|(view, behind)| unexplained(layer, behind, view)).collect()
 }
 
 /// Places for at most `most` Gaussians in `open`.
@@ -164,7 +169,10 @@ mod tests {
     }
 
     fn open_pixels(scene: &Scene, views: &[TrainingView]) -> usize {
-        all_unexplained(&scene.dynamic.gaussians, views).iter().map(Mask::count).sum()
+        all_unexplained(&scene.dynamic.gaussians, &all_standing(scene, views), views)
+            .iter()
+            .map(Mask::count)
+            .sum()
     }
 
     /// Of the ball that enters.
@@ -195,6 +203,17 @@ mod tests {
         assert_most_are_near_the_surface(&dynamic.gaussians.positions()[old.len()..]);
         let again = born(&mut scene, &views);
         assert!(again * 5 < count, "{again} more of what is there");
+    }
+
+    #[test]
+    fn nothing_is_born_of_a_background_that_masks_hold() {
+        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
+        let mut both = old.clone();
+        both.extend(&new);
+        let views = photographs(&both);
+        let mut scene = scene(&old);
+        scene.static_layer = std::sync::Arc::new(new);
+        assert_eq!(born(&mut scene, &views), 0, "the other ball stands still");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Foreground that the moving layer does not show.
 
-use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, TrainingView, upper_median};
+use crate::sky::sky_picture;
+use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, SkyCube, TrainingView, upper_median};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 
 /// Alpha of the moving layer from which a pixel shows it.
@@ -9,13 +10,25 @@ const SHOWN: f32 = 0.5;
 const WRONG: f32 = 0.12;
 /// and in units of what is usual in the view's foreground: exposures differ, and fog and rain hide detail.
 const UNUSUAL: f32 = 2.0;
+/// Up to this difference from what stands still, nothing moves.
+const STANDS: f32 = 0.06;
 /// Parts narrower than twice this share of the image's longer side are errors of motion or mask.
 const NARROW: f64 = 0.008;
 /// Side of the least area that counts, in such shares.
 const LEAST_SIDE: usize = 4;
 
-/// The foreground of `view` where `layer`, which moves, is transparent or shows something else than the photograph.
-pub fn unexplained(layer: &Gaussians, view: &TrainingView) -> Mask {
+/// What stands still, as a view shows it where its mask is: `layer` before the sky.
+pub fn standing_still(layer: &Gaussians, sky: &SkyCube, view: &TrainingView) -> PlanarImage {
+    let (tiles, sky) = (TileMask::covering(&view.mask), sky_picture(sky, &view.camera));
+    let frame = View { camera: &view.camera, background: Background::Image(&sky), tiles: Some(&tiles) };
+    let mut tape = RenderTape::default();
+    CpuRasterizer::default().render(layer, &frame, &mut tape);
+    tape.take_image()
+}
+
+/// The foreground of `view` where `layer`, which moves, shows something else than the photograph, or is transparent and the photograph is not that of
+/// what stands still (`behind`): masks hold some of that, too.
+pub fn unexplained(layer: &Gaussians, behind: &PlanarImage, view: &TrainingView) -> Mask {
     let size = view.camera.size();
     if view.mask.count() == 0 {
         return view.mask.clone();
@@ -35,7 +48,9 @@ pub fn unexplained(layer: &Gaussians, view: &TrainingView) -> Mask {
     let of_shown =
         (0..size.pixels()).filter(|p| foreground(p) && shown[*p]).map(|p| f64::from(differences[p]));
     let wrong = (UNUSUAL * upper_median(of_shown).unwrap_or(0.0) as f32).max(WRONG);
-    let open = (0..size.pixels()).map(|p| u8::from(foreground(&p) && (!shown[p] || differences[p] > wrong)));
+    let moves = |p: usize| difference(behind, &view.image, p) > STANDS;
+    let is_open = |p: usize| if shown[p] { differences[p] > wrong } else { moves(p) };
+    let open = (0..size.pixels()).map(|p| u8::from(foreground(&p) && is_open(p)));
     let narrow = (NARROW * size.width.max(size.height) as f64).round().max(1.0) as usize;
     let open = Mask::new(size, open.collect()).expect("one value per pixel").opened(narrow);
     if open.count() < (LEAST_SIDE * narrow).pow(2) { Mask::filled(size, false) } else { open }
@@ -77,6 +92,10 @@ mod tests {
         (layer, TrainingView { camera, image, mask: Mask::filled(SIZE, true) })
     }
 
+    fn black() -> PlanarImage {
+        PlanarImage::zeros(SIZE)
+    }
+
     fn columns(mask: &Mask) -> Vec<usize> {
         (0..SIZE.width).filter(|&x| mask.contains(x, 30)).collect()
     }
@@ -84,10 +103,24 @@ mod tests {
     #[test]
     fn what_the_layer_leaves_open_is_unexplained() {
         let (layer, view) = scene();
-        let open = columns(&unexplained(&layer, &view));
+        let open = columns(&unexplained(&layer, &black(), &view));
         assert!(open[0].abs_diff(50) <= 3 && open.len() == 100 - open[0], "{open:?}");
         let nothing = TrainingView { mask: Mask::filled(SIZE, false), ..view };
-        assert_eq!(unexplained(&layer, &nothing).count(), 0);
+        assert_eq!(unexplained(&layer, &black(), &nothing).count(), 0);
+    }
+
+    #[test]
+    fn what_stands_still_in_the_mask_is_explained() {
+        let (layer, view) = scene();
+        let wall = |grey: f32| {
+            let points: Vec<[f32; 3]> =
+                (0..2400).map(|i| [(i % 60) as f32 * 0.1 - 3.0, (i / 60) as f32 * 0.1 - 2.0, 3.0]).collect();
+            let wall = from_points(&points, &vec![[grey; 3]; points.len()], 0, 0.9);
+            standing_still(&wall, &SkyCube::filled(8, [0.9; 3]), &view)
+        };
+        assert_eq!(unexplained(&layer, &wall(0.5), &view).count(), 0, "the wall behind is as grey");
+        let open = columns(&unexplained(&layer, &wall(0.7), &view));
+        assert!(open[0].abs_diff(50) <= 3 && open.len() == 100 - open[0], "another wall: {open:?}");
     }
 
     #[test]
@@ -95,15 +128,15 @@ mod tests {
         let (layer, view) = scene();
         let left: Vec<u8> = (0..SIZE.pixels()).map(|p| u8::from(p % SIZE.width < 45)).collect();
         let view = TrainingView { mask: Mask::new(SIZE, left).unwrap(), ..view };
-        assert_eq!(unexplained(&layer, &view).count(), 0);
+        assert_eq!(unexplained(&layer, &black(), &view).count(), 0);
         // A bright square of 12 pixels in the photograph.
         let bright = |p: usize| (10..22).contains(&(p % SIZE.width)) && (20..32).contains(&(p / SIZE.width));
         let with = |at: &dyn Fn(usize) -> u8| {
             let data = (0..SIZE.pixels()).flat_map(|p| [at(p); 3]).collect();
             TrainingView { image: ImageRgb8::new(SIZE, data).unwrap(), ..view.clone() }
         };
-        let open = unexplained(&layer, &with(&|p| if bright(p) { 250 } else { 128 }));
+        let open = unexplained(&layer, &black(), &with(&|p| if bright(p) { 250 } else { 128 }));
         assert!((130..200).contains(&open.count()) && open.contains(16, 26), "{}", open.count());
-        assert_eq!(unexplained(&layer, &with(&|_| 190)).count(), 0, "a different exposure");
+        assert_eq!(unexplained(&layer, &black(), &with(&|_| 190)).count(), 0, "a different exposure");
     }
 }
