@@ -1,8 +1,9 @@
 //! The footage's cameras as the capture has them: size, pinhole, units, which are held out.
 
 use crate::names::plain_name;
+use crate::pictures::{self, Look};
 use crate::schedule::Sequence;
-use crate::{PrepareError, Request, TestCameras, moments, pictures, video};
+use crate::{PrepareError, Request, TestCameras, moments, video};
 use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Role, SourceCamera, Undistortion};
 use ffgs_core::{Camera, ImageSize, RigExtent, counted};
 use glam::{DMat4, DVec3};
@@ -19,8 +20,8 @@ pub(crate) struct RigCamera {
     pub masks: Option<Pictures>,
     pub test: bool,
     pub sequence: Sequence,
-    /// Whether its first picture is transparent anywhere.
-    pub transparent: bool,
+    /// What its first picture tells.
+    pub look: Look,
 }
 
 /// All cameras and what was decided for them.
@@ -61,7 +62,7 @@ pub(crate) fn rig(footage: &Footage, request: &Request) -> Result<Rig, PrepareEr
         rig.cameras.push(camera);
     }
     rig.assumed.extend(scaled(footage, &rig.cameras));
-    rig.assumed.extend(transparent(&rig.cameras));
+    rig.assumed.extend(unexpected(&rig.cameras));
     if request.metres_per_unit.or(footage.metres_per_unit).is_none() {
         rig.assumed.push("lengths of the calibration are metres (--unit names another unit)".to_owned());
     }
@@ -82,8 +83,8 @@ impl Rig {
         test: bool,
         request: &Request,
     ) -> Result<RigCamera, PrepareError> {
-        let (found, transparent) = first_look(&source.pictures)?;
-        let lens = lens_for(source, found)?;
+        let look = first_look(&source.pictures)?;
+        let (found, lens) = (look.size, lens_for(source, look)?);
         let reduced = |length: usize| ((length as f64 * request.scale).round() as usize).max(1);
         let size = ImageSize { width: reduced(found.width), height: reduced(found.height) };
         let undistortion = Undistortion::new(lens, size)
@@ -110,14 +111,14 @@ impl Rig {
             pictures: source.pictures.clone(),
             masks: source.masks.clone(),
             test,
-            transparent,
+            look,
         })
     }
 }
 
-/// The lens for pictures of the size that was found.
-fn lens_for(source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareError> {
-    let lens = source.lens;
+/// The lens for the pictures.
+fn lens_for(source: &SourceCamera, look: Look) -> Result<Lens, PrepareError> {
+    let (lens, found) = (source.lens, look.size);
     if lens.size.pixels() == 0 {
         let pinhole = Camera::new(lens.intrinsics, DMat4::IDENTITY, found);
         let fault = pinhole.map_or_else(|e| Some(e.to_string()), |pinhole| pinhole.stray_principal_point());
@@ -128,8 +129,13 @@ fn lens_for(source: &SourceCamera, found: ImageSize) -> Result<Lens, PrepareErro
     // A video encoder may pad or crop by a pixel or two.
     if (x / y - 1.0).abs() > 0.02 {
         let is_turned = found.width == lens.size.height && found.height == lens.size.width;
-        let turned =
-            if is_turned { "; a video may say that it is to be turned, which ffmpeg does" } else { "" };
+        let turned = match (is_turned, look.turned) {
+            (true, true) => {
+                "; their EXIF data say that they are to be turned, which is not done here: save them turned (mogrify -auto-orient)"
+            }
+            (true, false) => "; a video may say that it is to be turned, which ffmpeg does",
+            (false, _) => "",
+        };
         let reason = format!(
             "camera '{}' was calibrated at {} x {}, but its pictures are {} x {}{turned}",
             source.name, lens.size.width, lens.size.height, found.width, found.height
@@ -157,14 +163,24 @@ fn scaled(footage: &Footage, cameras: &[RigCamera]) -> Vec<String> {
     groups.into_iter().map(told).collect()
 }
 
-fn transparent(cameras: &[RigCamera]) -> Option<String> {
-    let names: Vec<&str> = cameras.iter().filter(|c| c.transparent).map(|c| c.name.as_str()).collect();
-    (!names.is_empty()).then(|| {
+/// What first pictures tell that a user may not expect.
+fn unexpected(cameras: &[RigCamera]) -> Vec<String> {
+    let of = |is: &dyn Fn(&Look) -> bool| -> Option<String> {
+        let names: Vec<&str> = cameras.iter().filter(|c| is(&c.look)).map(|c| c.name.as_str()).collect();
+        (!names.is_empty()).then(|| some_of(&names))
+    };
+    let transparent = of(&|look| look.transparent).map(|cameras| {
         format!(
-            "pictures of {} are transparent in parts, which count as what their colours show: cut them off, or fill them",
-            some_of(&names)
+            "pictures of {cameras} are transparent in parts, which count as what their colours show: cut them off, or fill them"
         )
-    })
+    });
+    let turned = of(&|look| look.turned).map(|cameras| {
+        format!(
+            "pictures of {cameras} say by EXIF data that they are to be turned; they are taken as they are stored, as COLMAP takes them (where the \
+             calibration is of turned ones, as OpenCV reads them, save them turned: mogrify -auto-orient)"
+        )
+    });
+    transparent.into_iter().chain(turned).collect()
 }
 
 /// Cameras in words, the first of many.
@@ -182,13 +198,13 @@ pub(crate) fn distorted(footage: &Footage) -> usize {
     footage.cameras.iter().filter(|c| c.lens.distortion != Distortion::None).count()
 }
 
-/// The size of the first picture, and whether it is transparent anywhere.
-fn first_look(of: &Pictures) -> Result<(ImageSize, bool), PrepareError> {
+/// What the first picture tells. Of a video that is to be turned ffmpeg turns the frames.
+fn first_look(of: &Pictures) -> Result<Look, PrepareError> {
     match of {
         Pictures::Video(file) => {
             let first = video::Frames::open(file)?.next()?;
             first
-                .map(|i| (i.size(), false))
+                .map(|i| Look { size: i.size(), transparent: false, turned: false })
                 .ok_or_else(|| PrepareError::picture(file, "ffmpeg decodes no frame of it"))
         }
         Pictures::Files(files) => {

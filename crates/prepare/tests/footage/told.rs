@@ -33,6 +33,39 @@ fn scaled_intrinsics_are_told_once_for_all_cameras() {
     assert!(told.contains("96 x 128, but its pictures are 128 x 96; a video may say"), "{told}");
 }
 
+/// A picture as a JPEG whose EXIF data say that it was taken with the camera on its side.
+fn turned_jpeg(picture: &image::DynamicImage) -> Vec<u8> {
+    let mut jpeg = std::io::Cursor::new(Vec::new());
+    picture.to_rgb8().write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+    let segment: [&[u8]; 4] = [
+        b"\xff\xe1\x00\x22Exif\0\0II*\0\x08\0\0\0",
+        // One entry: tag 0x0112, a short, once, 6.
+        b"\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0",
+        b"\0\0\0\0",
+        &jpeg.get_ref()[2..],
+    ];
+    [&jpeg.get_ref()[..2], &segment.concat()].concat()
+}
+
+#[test]
+fn pictures_that_are_to_be_turned_are_told() {
+    let folder = footage(0, 1);
+    let camera = folder.path().join("cam_2");
+    for file in fs::read_dir(&camera).unwrap().map(|entry| entry.unwrap().path()).collect::<Vec<_>>() {
+        fs::write(file.with_extension("jpg"), turned_jpeg(&image::open(&file).unwrap())).unwrap();
+        fs::remove_file(file).unwrap();
+    }
+    let told = summary(&folder);
+    assert!(told.contains("pictures of camera cam_2 say by EXIF data that they are to be turned"), "{told}");
+    let size = |width: usize, height: usize| format!("size = [{width}, {height}]");
+    let text = toml(|pose| pose);
+    let (before, after) = text.split_once("[cam_2]").unwrap();
+    let after = after.replacen(&size(SIZE.width, SIZE.height), &size(SIZE.height, SIZE.width), 1);
+    fs::write(folder.path().join("calibration.toml"), format!("{before}[cam_2]{after}")).unwrap();
+    let told = error(&Request { out: folder.path().join("other"), ..request(&folder) });
+    assert!(told.contains("EXIF data say that they are to be turned, which is not done here"), "{told}");
+}
+
 #[test]
 fn transparent_pictures_are_told() {
     let folder = footage(0, 1);
