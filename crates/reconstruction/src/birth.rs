@@ -4,11 +4,11 @@ use crate::config::ReconstructionConfig;
 use crate::devices::Devices;
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;
-use ffgs_core::{Gaussians, Mask, PlanarImage, Scene, StageLog, TrainingView, sigmoid, stage};
+use ffgs_core::{Gaussians, Mask, Scene, StageLog, TrainingView, sigmoid, stage};
 use ffgs_fusion::{Seed, SeedView, seeds};
 use ffgs_motion::join;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TileMask, View};
-use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, from_points, standing_still, unexplained};
+use ffgs_trainer::{INITIAL_OPACITY, Newborn, Progress, Standing, from_points, unexplained};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -67,8 +67,8 @@ fn add_newborn(
     if config.birth.iterations == 0 || most == 0 {
         return Ok(0);
     }
-    let behind = all_standing(scene, views);
-    let open = all_unexplained(&scene.dynamic.gaussians, &behind, views);
+    let standing = Standing { layer: &scene.static_layer, sky: &scene.sky };
+    let open = all_unexplained(&scene.dynamic.gaussians, standing, views);
     let found = find_seeds(config, scene, views, &open, most);
     if found.len() < LEAST_SEEDS {
         return Ok(0);
@@ -77,18 +77,14 @@ fn add_newborn(
     let Some(born) = devices.newborn(&config.birth, newborn, scene, seed, report)? else { return Ok(0) };
     let mut together = scene.dynamic.gaussians.clone();
     together.extend(&born);
-    let still_open = all_unexplained(&together, &behind, views);
+    let still_open = all_unexplained(&together, standing, views);
     let kept = explaining(&born, config.densification.min_opacity, views, (&open, &still_open));
     join(&mut scene.dynamic, &born.select(&kept), views);
     Ok(kept.len())
 }
 
-fn all_standing(scene: &Scene, views: &[TrainingView]) -> Vec<PlanarImage> {
-    views.par_iter().map(|view| standing_still(&scene.static_layer, &scene.sky, view)).collect()
-}
-
-fn all_unexplained(layer: &Gaussians, behind: &[PlanarImage], views: &[TrainingView]) -> Vec<Mask> {
-    views.par_iter().zip(behind).map(|(view, behind)| unexplained(layer, behind, view)).collect()
+fn all_unexplained(layer: &Gaussians, standing: Standing, views: &[TrainingView]) -> Vec<Mask> {
+    views.par_iter().map(|view| unexplained(layer, standing, view)).collect()
 }
 
 /// Places for at most `most` Gaussians in `open`.
@@ -169,10 +165,8 @@ mod tests {
     }
 
     fn open_pixels(scene: &Scene, views: &[TrainingView]) -> usize {
-        all_unexplained(&scene.dynamic.gaussians, &all_standing(scene, views), views)
-            .iter()
-            .map(Mask::count)
-            .sum()
+        let standing = Standing { layer: &scene.static_layer, sky: &scene.sky };
+        all_unexplained(&scene.dynamic.gaussians, standing, views).iter().map(Mask::count).sum()
     }
 
     /// Of the ball that enters.

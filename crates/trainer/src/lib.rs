@@ -40,7 +40,7 @@ pub use backend::{
     Training, mean_pixels,
 };
 pub use background::{BackgroundConfig, StaticMethod};
-pub use birth::{BirthConfig, Newborn, standing_still, train_newborn, unexplained};
+pub use birth::{BirthConfig, Newborn, Standing, train_newborn, unexplained};
 pub use cpu::{CpuBackend, CpuLayer, CpuSky};
 pub use density_control::{
     DensityConfig, DensityControl, DensityPlan, GradientSums, IndexMap, Split, normal,

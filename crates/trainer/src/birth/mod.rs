@@ -3,7 +3,7 @@
 
 mod unexplained;
 
-pub use unexplained::{standing_still, unexplained};
+pub use unexplained::{Standing, unexplained};
 
 use crate::backend::TrainBackend;
 use crate::lengths::robust_extent;

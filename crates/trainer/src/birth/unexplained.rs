@@ -1,7 +1,9 @@
 //! Foreground that the moving layer does not show.
 
 use crate::sky::sky_picture;
-use ffgs_core::{Gaussians, ImageRgb8, Mask, PlanarImage, SkyCube, TrainingView, upper_median};
+use ffgs_core::{
+    Camera, Gaussians, ImageRgb8, ImageSize, Mask, PlanarImage, SkyCube, TrainingView, upper_median,
+};
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderTape, TileMask, View};
 
 /// Alpha of the moving layer from which a pixel shows it.
@@ -17,22 +19,44 @@ const NARROW: f64 = 0.008;
 /// Side of the least area that counts, in such shares.
 const LEAST_SIDE: usize = 4;
 
-/// What stands still, as a view shows it where its mask is: `layer` before the sky.
-pub fn standing_still(layer: &Gaussians, sky: &SkyCube, view: &TrainingView) -> PlanarImage {
-    let (tiles, sky) = (TileMask::covering(&view.mask), sky_picture(sky, &view.camera));
-    let frame = View { camera: &view.camera, background: Background::Image(&sky), tiles: Some(&tiles) };
-    let mut tape = RenderTape::default();
-    CpuRasterizer::default().render(layer, &frame, &mut tape);
-    tape.take_image()
+/// What stands still: the static layer before the sky.
+#[derive(Clone, Copy)]
+pub struct Standing<'a> {
+    /// Static Gaussians.
+    pub layer: &'a Gaussians,
+    /// The sky behind them.
+    pub sky: &'a SkyCube,
+}
+
+impl Standing<'_> {
+    /// As a camera shows it where a mask is.
+    fn shown(&self, camera: &Camera, mask: &Mask) -> PlanarImage {
+        let (tiles, sky) = (TileMask::covering(&mask.dilated(1)), sky_picture(self.sky, camera));
+        let frame = View { camera, background: Background::Image(&sky), tiles: Some(&tiles) };
+        let mut tape = RenderTape::default();
+        CpuRasterizer::default().render(self.layer, &frame, &mut tape);
+        tape.take_image()
+    }
 }
 
 /// The foreground of `view` where `layer`, which moves, shows something else than the photograph, or is transparent and the photograph is not that of
-/// what stands still (`behind`): masks hold some of that, too.
-pub fn unexplained(layer: &Gaussians, behind: &PlanarImage, view: &TrainingView) -> Mask {
-    let size = view.camera.size();
+/// what stands still: masks hold some of that, too.
+pub fn unexplained(layer: &Gaussians, standing: Standing, view: &TrainingView) -> Mask {
     if view.mask.count() == 0 {
         return view.mask.clone();
     }
+    let (opaque, open) = opaque_and_open(layer, view);
+    if open.count() == 0 {
+        return open;
+    }
+    let behind = standing.shown(&view.camera, &open);
+    let moves = |p: usize| opaque[p] || difference(&behind, &view.image, p) > STANDS;
+    wide(view.camera.size(), |p| open.data()[p] != 0 && moves(p))
+}
+
+/// Where `layer` hides what is behind it, and the foreground where it does not, or shows something else than the photograph.
+fn opaque_and_open(layer: &Gaussians, view: &TrainingView) -> (Vec<bool>, Mask) {
+    let size = view.camera.size();
     // Where the layer is transparent, the photograph differs from nothing.
     let (tiles, photograph) = (TileMask::covering(&view.mask), PlanarImage::from(&view.image));
     let frame =
@@ -41,18 +65,22 @@ pub fn unexplained(layer: &Gaussians, behind: &PlanarImage, view: &TrainingView)
     CpuRasterizer::default().render(layer, &frame, &mut tape);
     let foreground = |p: &usize| view.mask.data()[*p] != 0;
     let alpha: Vec<f32> = tape.transmittance().iter().map(|t| 1.0 - t).collect();
-    let shown: Vec<bool> = alpha.iter().map(|&alpha| alpha >= SHOWN).collect();
+    let opaque: Vec<bool> = alpha.iter().map(|&alpha| alpha >= SHOWN).collect();
     let of_layer = |p: usize| difference(tape.image(), &view.image, p) / alpha[p];
     let differences: Vec<f32> =
-        (0..size.pixels()).map(|p| if foreground(&p) && shown[p] { of_layer(p) } else { 0.0 }).collect();
-    let of_shown =
-        (0..size.pixels()).filter(|p| foreground(p) && shown[*p]).map(|p| f64::from(differences[p]));
-    let wrong = (UNUSUAL * upper_median(of_shown).unwrap_or(0.0) as f32).max(WRONG);
-    let moves = |p: usize| difference(behind, &view.image, p) > STANDS;
-    let is_open = |p: usize| if shown[p] { differences[p] > wrong } else { moves(p) };
-    let open = (0..size.pixels()).map(|p| u8::from(foreground(&p) && is_open(p)));
+        (0..size.pixels()).map(|p| if foreground(&p) && opaque[p] { of_layer(p) } else { 0.0 }).collect();
+    let of_opaque = (0..size.pixels()).filter(|p| foreground(p) && opaque[*p]);
+    let usual = upper_median(of_opaque.map(|p| f64::from(differences[p]))).unwrap_or(0.0);
+    let wrong = (UNUSUAL * usual as f32).max(WRONG);
+    let open = wide(size, |p| foreground(&p) && (!opaque[p] || differences[p] > wrong));
+    (opaque, open)
+}
+
+/// The pixels that are open, without narrow parts; none where they are few.
+fn wide(size: ImageSize, is_open: impl Fn(usize) -> bool) -> Mask {
     let narrow = (NARROW * size.width.max(size.height) as f64).round().max(1.0) as usize;
-    let open = Mask::new(size, open.collect()).expect("one value per pixel").opened(narrow);
+    let open = (0..size.pixels()).map(|p| u8::from(is_open(p))).collect();
+    let open = Mask::new(size, open).expect("one value per pixel").opened(narrow);
     if open.count() < (LEAST_SIDE * narrow).pow(2) { Mask::filled(size, false) } else { open }
 }
 
@@ -76,7 +104,7 @@ fn difference(rendered: &PlanarImage, photograph: &ImageRgb8, p: usize) -> f32 {
 mod tests {
     use super::*;
     use crate::from_points;
-    use ffgs_core::{Camera, ImageSize, Intrinsics};
+    use ffgs_core::Intrinsics;
     use glam::DMat4;
 
     const SIZE: ImageSize = ImageSize { width: 100, height: 60 };
@@ -92,8 +120,9 @@ mod tests {
         (layer, TrainingView { camera, image, mask: Mask::filled(SIZE, true) })
     }
 
-    fn black() -> PlanarImage {
-        PlanarImage::zeros(SIZE)
+    fn open_before_nothing(layer: &Gaussians, view: &TrainingView) -> Mask {
+        let standing = Standing { layer: &Gaussians::zeros(0, 0), sky: &SkyCube::filled(8, [0.0; 3]) };
+        unexplained(layer, standing, view)
     }
 
     fn columns(mask: &Mask) -> Vec<usize> {
@@ -103,23 +132,23 @@ mod tests {
     #[test]
     fn what_the_layer_leaves_open_is_unexplained() {
         let (layer, view) = scene();
-        let open = columns(&unexplained(&layer, &black(), &view));
+        let open = columns(&open_before_nothing(&layer, &view));
         assert!(open[0].abs_diff(50) <= 3 && open.len() == 100 - open[0], "{open:?}");
         let nothing = TrainingView { mask: Mask::filled(SIZE, false), ..view };
-        assert_eq!(unexplained(&layer, &black(), &nothing).count(), 0);
+        assert_eq!(open_before_nothing(&layer, &nothing).count(), 0);
     }
 
     #[test]
     fn what_stands_still_in_the_mask_is_explained() {
         let (layer, view) = scene();
-        let wall = |grey: f32| {
+        let open_before = |grey: f32| {
             let points: Vec<[f32; 3]> =
                 (0..2400).map(|i| [(i % 60) as f32 * 0.1 - 3.0, (i / 60) as f32 * 0.1 - 2.0, 3.0]).collect();
             let wall = from_points(&points, &vec![[grey; 3]; points.len()], 0, 0.9);
-            standing_still(&wall, &SkyCube::filled(8, [0.9; 3]), &view)
+            unexplained(&layer, Standing { layer: &wall, sky: &SkyCube::filled(8, [0.9; 3]) }, &view)
         };
-        assert_eq!(unexplained(&layer, &wall(0.5), &view).count(), 0, "the wall behind is as grey");
-        let open = columns(&unexplained(&layer, &wall(0.7), &view));
+        assert_eq!(open_before(0.5).count(), 0, "the wall behind is as grey");
+        let open = columns(&open_before(0.7));
         assert!(open[0].abs_diff(50) <= 3 && open.len() == 100 - open[0], "another wall: {open:?}");
     }
 
@@ -128,15 +157,15 @@ mod tests {
         let (layer, view) = scene();
         let left: Vec<u8> = (0..SIZE.pixels()).map(|p| u8::from(p % SIZE.width < 45)).collect();
         let view = TrainingView { mask: Mask::new(SIZE, left).unwrap(), ..view };
-        assert_eq!(unexplained(&layer, &black(), &view).count(), 0);
+        assert_eq!(open_before_nothing(&layer, &view).count(), 0);
         // A bright square of 12 pixels in the photograph.
         let bright = |p: usize| (10..22).contains(&(p % SIZE.width)) && (20..32).contains(&(p / SIZE.width));
         let with = |at: &dyn Fn(usize) -> u8| {
             let data = (0..SIZE.pixels()).flat_map(|p| [at(p); 3]).collect();
             TrainingView { image: ImageRgb8::new(SIZE, data).unwrap(), ..view.clone() }
         };
-        let open = unexplained(&layer, &black(), &with(&|p| if bright(p) { 250 } else { 128 }));
+        let open = open_before_nothing(&layer, &with(&|p| if bright(p) { 250 } else { 128 }));
         assert!((130..200).contains(&open.count()) && open.contains(16, 26), "{}", open.count());
-        assert_eq!(unexplained(&layer, &black(), &with(&|_| 190)).count(), 0, "a different exposure");
+        assert_eq!(open_before_nothing(&layer, &with(&|_| 190)).count(), 0, "a different exposure");
     }
 }
