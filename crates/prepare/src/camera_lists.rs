@@ -62,6 +62,7 @@ fn pose(camera: &RigCamera, picture: usize) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pictures::Look;
     use crate::schedule::Sequence;
     use ffgs_calibration::{Distortion, Footage, Lens, Pictures, Undistortion, detect};
     use ffgs_core::ImageSize;
@@ -79,7 +80,7 @@ mod tests {
             pictures: Pictures::Files(Vec::new()),
             masks: None,
             test: false,
-            transparent: false,
+            look: Look { size, transparent: false, turned: false },
             sequence: Sequence { name: name.to_owned(), pictures: 2, rate: None, moments: None },
         }
     }
