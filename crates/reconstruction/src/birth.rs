@@ -169,6 +169,14 @@ mod tests {
         all_unexplained(&scene.dynamic.gaussians, standing, views).iter().map(Mask::count).sum()
     }
 
+    /// A ball that the layer has, one that it lacks, and both together.
+    fn balls() -> [Gaussians; 3] {
+        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
+        let mut both = old.clone();
+        both.extend(&new);
+        [old, new, both]
+    }
+
     /// Of the ball that enters.
     fn assert_most_are_near_the_surface(born: &[DVec3]) {
         let near = |p: &&DVec3| (p.distance(DVec3::new(0.0, 0.9, 0.0)) - 0.6).abs() < 0.2;
@@ -178,9 +186,7 @@ mod tests {
 
     #[test]
     fn what_enters_is_born_where_it_is_and_once() {
-        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
-        let mut both = old.clone();
-        both.extend(&new);
+        let [old, _, both] = balls();
         let views = photographs(&both);
         let mut scene = scene(&old);
         let before = open_pixels(&scene, &views);
@@ -201,9 +207,7 @@ mod tests {
 
     #[test]
     fn nothing_is_born_of_a_background_that_masks_hold() {
-        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
-        let mut both = old.clone();
-        both.extend(&new);
+        let [old, new, both] = balls();
         let views = photographs(&both);
         let mut scene = scene(&old);
         scene.static_layer = std::sync::Arc::new(new);
@@ -212,9 +216,7 @@ mod tests {
 
     #[test]
     fn reduced_photographs_show_what_enters_too() {
-        let (old, new) = (ball(Vec3::new(0.0, -1.0, 0.0)), ball(Vec3::new(0.0, 0.9, 0.0)));
-        let mut both = old.clone();
-        both.extend(&new);
+        let [old, _, both] = balls();
         let views = TrainingView::all_reduced(&photographs(&both), 2).into_owned();
         let mut scene = scene(&old);
         let before = open_pixels(&scene, &views);

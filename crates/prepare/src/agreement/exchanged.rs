@@ -4,11 +4,13 @@ use super::{Agreement, Alike, LEAST, TIMES};
 use crate::PrepareError;
 use ffgs_core::{Camera, upper_median};
 
-/// Cameras that agree with their neighbours at a smaller share of the places may have another's picture, or at this part of the share of most
-/// cameras. So many of them, those with the least, are exchanged with each other. Of a rig of so few cameras all orders are tried.
+/// A camera is doubtful when its share of same places is below this value, ...
 const SURE: f64 = 0.25;
+/// ... or below this part of the usual share.
 const PART: f64 = 0.7;
+/// Most doubtful cameras, those with the smallest shares, whose pictures are exchanged in trials.
 const MOST: usize = 12;
+/// In a rig of so many cameras or fewer, all orders of the pictures are tried.
 const ALL_ORDERS: usize = 5;
 
 /// Refuses pictures that agree with other cameras than their own.
