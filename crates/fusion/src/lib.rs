@@ -65,6 +65,6 @@ pub use input::FusionInput;
 pub use neighbourhoods::{StructureConfig, StructurePrior};
 pub use prediction::{Departures, Prediction};
 pub use rigid::{RigidMotion, fit_rigid};
-pub use seeds::{Seed, SeedView, seeds, steps_of_nearest};
+pub use seeds::{Seed, SeedView, first_of_each_cell, seeds, steps_of_nearest};
 pub use validation::{Silhouettes, Slack, second_chance, validate};
 pub use view_counts::{ViewCounts, count_views};

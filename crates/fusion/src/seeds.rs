@@ -68,7 +68,7 @@ pub fn seeds(views: &[SeedView], slack: Slack, most: usize) -> Vec<Seed> {
             pixels.par_iter().map(|&p| seed(views, v, p, farthest, slack)).collect();
         found.into_iter().flatten().collect::<Vec<_>>()
     };
-    one_per_cell((0..views.len()).flat_map(of_view).collect(), stride as f64)
+    best_of_each_cell((0..views.len()).flat_map(of_view).collect(), stride as f64)
 }
 
 /// A place with how well views agree on it, and the size of a pixel there (m).
@@ -80,13 +80,18 @@ struct Found {
 
 /// Of the places in a cell the one that views agree on best: each surface is seen by several views, and needs no more than one Gaussian for
 /// each pixel of one of them. The cells are so many pixels large, of the median size.
-fn one_per_cell(mut found: Vec<Found>, pixels: f64) -> Vec<Seed> {
+fn best_of_each_cell(mut found: Vec<Found>, pixels: f64) -> Vec<Seed> {
     let Some(pixel) = median(found.iter().map(|found| found.pixel)) else { return Vec::new() };
     found.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let cell = |seed: &Seed| (seed.position / (pixels * pixel)).floor().as_i64vec3();
+    let mut seeds: Vec<Seed> = found.into_iter().map(|found| found.seed).collect();
+    first_of_each_cell(&mut seeds, pixels * pixel, |seed| seed.position);
+    seeds
+}
+
+/// Keeps the first of the places in each cube of side `cell` (m).
+pub fn first_of_each_cell<T>(places: &mut Vec<T>, cell: f64, position: impl Fn(&T) -> DVec3) {
     let mut taken = HashSet::new();
-    let first = found.iter().filter(|found| taken.insert(cell(&found.seed)));
-    first.map(|found| found.seed).collect()
+    places.retain(|place| taken.insert((position(place) / cell).floor().as_i64vec3()));
 }
 
 /// Distance (m) up to which rays are searched that meet nothing: that of the farthest thing behind any foreground, or many

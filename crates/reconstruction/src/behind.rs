@@ -5,12 +5,13 @@ use crate::outside::{HIDDEN_BELOW, shown_weights};
 use crate::reconstructor::Reconstructor;
 use anyhow::Result;
 use ffgs_core::{Camera, Gaussians, ImageSize, Mask, Scene, StageLog, TrainingView, connected, stage};
+use ffgs_fusion::first_of_each_cell;
 use ffgs_motion::MarkingConfig;
 use ffgs_rasterizer::{Background, CpuRasterizer, RenderOptions, RenderTape, TopContributors, View};
 use ffgs_trainer::from_points;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -100,8 +101,7 @@ fn behind(marking: &MarkingConfig, scene: &Scene, views: &[TrainingView]) -> Gau
 fn thinned(mut points: Vec<Point>) -> Vec<Point> {
     points.sort_by(|a, b| a.spacing.total_cmp(&b.spacing));
     let Some(cell) = points.get(points.len() / 2).map(|p| p.spacing) else { return points };
-    let mut taken = HashSet::new();
-    points.retain(|p| taken.insert((p.position / cell).floor().as_i64vec3()));
+    first_of_each_cell(&mut points, cell, |p| p.position);
     points
 }
 
